@@ -218,13 +218,11 @@ def test_a_flood_at_the_open_port_is_bounded_and_delays_no_other_stop(
     if child == 0:
         tell(pipe, lambda: flood(3) or b"flooded")
     begun = time.monotonic()
-    status = stopped(urlsplit(service.url).port, "/api/v1/stop?", "Ada", 0)  # a slow computer confirms it later
+    status = stopped(urlsplit(service.url).port, "/api/v1/stop?", "Ada", 1)
     took = time.monotonic() - begun
-    waited_for = stopped(urlsplit(service.url).port, "/api/v1/stop?", "Ada", 1)
     assert heard(child, pipe) == (b"flooded", 0)
-    assert status == 202
+    assert status in (200, 503)  # a busy computer may confirm it later, and says so in time
     assert took <= ANSWERED
-    assert waited_for in (200, 503)  # confirmed, or told not to be
     memory.append([each.memory_info().rss for each in processes])
     grown = np.diff(memory, axis=0).min(axis=0)  # what stops leave grows with each flood, what a new service needs once
     assert grown.max() < 3 * FLOOD * KEPT / 2

@@ -6,6 +6,7 @@ confirms and latches the stop later (`listening`, `watching`).
 """
 
 import asyncio
+import threading
 import time
 from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
@@ -263,13 +264,16 @@ class Machine:
         self._sequences.halt(hold)
         return hold
 
-    async def confirm(self, hold: Hold) -> StopDocument:
-        """Run the stop sequence to confirmed standstill, while the database stores the stop. Errors as `stop`."""
+    async def confirm(self, hold: Hold, presses: int = 1) -> StopDocument:
+        """Run the stop sequence to confirmed standstill, while the database stores the stop. Errors as `stop`.
+
+        `presses`: number of calls of `latch` that it is for.
+        """
         self._holds.note()
         try:
             confirmed = await self._sequences.confirmed()
         finally:
-            hold.under_way -= 1
+            hold.under_way -= presses
             self._recent = None
         _log.warning("stop", stop=hold.document.id, by=hold.document.by, why=hold.document.why)
         reason = f"not connected: {self._trouble or 'the connection was closed'}"
@@ -278,9 +282,9 @@ class Machine:
             raise StopNotConfirmed(confirmed, left)
         return hold.document
 
-    async def confirm_logged(self, hold: Hold) -> None:
+    async def confirm_logged(self, hold: Hold, presses: int = 1) -> None:
         """As `confirm`, for a stop whose caller does not wait: its errors are logged."""
-        await self._sequences.logged(hold, self.confirm(hold))
+        await self._sequences.logged(hold, self.confirm(hold, presses))
 
     def end(self, why: str) -> None:
         """The service ends: every axis is stopped, and motion is blocked. A second call reports nothing."""
@@ -472,13 +476,23 @@ async def watching(machine: Machine, report: Callable[[str, Cause], None]) -> As
 async def _holding(machine: Machine) -> AsyncGenerator[Callable[..., Hold]]:
     """A function that holds the machine (arguments of `Machine.latch`); may be called from any thread."""
     loop, confirming = asyncio.get_running_loop(), Background()
+    pressed: list[Hold] = []  # since the last turn of the loop: a flood must not delay the stop of another
+    adding = threading.Lock()
 
-    def follow(hold: Hold) -> None:
-        confirming.begin("confirm a stop", machine.confirm_logged(hold))
+    def follow() -> None:
+        with adding:
+            holds, pressed[:] = pressed[:], []
+        for hold in {id(each): each for each in holds}.values():
+            presses = sum(each is hold for each in holds)
+            confirming.begin("confirm a stop", machine.confirm_logged(hold, presses))
 
     def hold_at_once(by: str, why: str, press: str, source: str, cause: Cause | None = None) -> Hold:
         hold = machine.latch(by, why, press, source, cause)
-        loop.call_soon_threadsafe(follow, hold)
+        with adding:
+            pressed.append(hold)
+            first = len(pressed) == 1
+        if first:
+            loop.call_soon_threadsafe(follow)
         return hold
 
     try:
