@@ -228,7 +228,11 @@ def _rigid_model(page: ReportPage, parameters: Sequence[RigidParameter], started
         "" if by_cad else f"<p>Started from an estimate: {escape(started_from)}.</p>",
     )
     rows = [
-        [one.name, "–" if one.nominal is None else with_std(one.nominal, one.std)[0], *with_std(one.value, one.std)]
+        [
+            plain(one.name) if one.name.isidentifier() else one.name,  # else it is a formula
+            "–" if one.nominal is None else with_std(one.nominal, one.std)[0],
+            *with_std(one.value, one.std),
+        ]
         for one in parameters
     ]
     page.table(["parameter", "CAD" if by_cad else "estimate", "found", "± std"], rows)

@@ -131,6 +131,7 @@ def test_a_coefficient_of_which_the_sweeps_tell_nothing_has_no_value() -> None:
     page = diagnosis_page(document(effects=[effect]), "Robot").html()
     assert "<td>not significant</td><td>–</td>" in page
     assert "640000" not in page
+    assert ">viscous friction</td><td>–</td><td>800.0</td>" in page  # of the rigid model, in words
 
 
 def test_without_an_effect_there_is_no_after() -> None:
