@@ -21,6 +21,7 @@ from simulator.effects import (
     Appendages,
     Bristles,
     Counterbalances,
+    FrictionAlone,
     KnownRipples,
     Ripples,
     cogging,
@@ -173,31 +174,54 @@ class Train(Generic[Value]):
         return (motor_speed, load_speed - within(load_speed, slip[1], stick[1])), damped
 
 
+@dataclass(slots=True, kw_only=True)
 class TrainAlone:
     """One row with an open brake, stepped in floats: `position` and `velocity` of its masses."""
 
-    free = 1.0
-
-    def __init__(
-        self,
-        train: Train[float],
-        step: float,
-        position: tuple[float, ...],
-        velocity: tuple[float, ...],
-        cogging: Callable[[float], float] | None,
-    ) -> None:
-        self.position, self.velocity = position, velocity
-        self.damped, self.before = 0.0, velocity[-1]
-        """Last step: speed change of the load by the spring's damping; speed of the load before the step."""
-        self._train, self._step, self._cogging = train, step, cogging
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    before: float  # speed of the load before the last step
+    bristles: Bristles | None
+    friction: Sequence[FrictionAlone] | None
+    damped: float = 0.0  # speed change of the load by the spring's damping in the last step
+    free: float = 1.0
+    _train: Train[float]
+    _step: float
+    _load_inertia: float
+    _cogging: Callable[[float], float] | None
 
     def step(self, effort: float) -> None:
         """Advance by one step with motor torque `effort`, N m."""
         motor = effort if self._cogging is None else effort - self._cogging(self.position[0])
+        if self.bristles is not None:
+            motor -= float(self.bristles.step(np.asarray(self.velocity[0])))
+        extra = None if self.friction is None else self._rubbed(self.friction)
         self.before = self.velocity[-1]
-        self.velocity, damped = self._train.step(self.position, self.velocity, motor)
+        self.velocity, damped = self._train.step(self.position, self.velocity, motor, extra_friction=extra)
         self.damped = 0.0 if damped is None else damped
         self.position = tuple([q + self._step * v for q, v in zip(self.position, self.velocity, strict=True)])
+
+    def _rubbed(self, friction: Sequence[FrictionAlone]) -> ExtraFriction[float]:
+        transmitted, load, masses = self._transmitted(), self.position[-1], self._train.mobility
+        speeds = self.velocity if len(self.velocity) > 1 else self.velocity * 2  # a rigid train has both frictions
+        limits = [law.limits(speed, transmitted, load) for law, speed in zip(friction, speeds, strict=True)]
+        more = [law.beyond_mean(speed) for law, speed in zip(friction, speeds, strict=True)]
+        forward, backward = zip(*limits, strict=True)
+        if len(masses) == 1:
+            forward, backward, more = [sum(forward)], [sum(backward)], [sum(more)]
+        return ExtraFriction(
+            [mobility * limit for mobility, limit in zip(masses, forward, strict=True)],
+            [-mobility * limit for mobility, limit in zip(masses, backward, strict=True)],
+            more,
+        )
+
+    def _transmitted(self) -> float:
+        """As `DriveTrains.transmitted`."""
+        if self._train.drag is not None:
+            return self._train.spring(self._train.twist(*self.position))
+        return (
+            self._train.gravity(self.position[0]) + self._load_inertia * (self.velocity[0] - self.before) / self._step
+        )
 
 
 class DriveTrains:
@@ -366,19 +390,23 @@ class DriveTrains:
         """The rows with an open brake, each to be stepped alone and then taken back; None if this is not
         possible now.
         """
-        effects = (self.friction, self.gear_error, self._bristles, self.appendages, self._balance)
+        together = (self.gear_error, self.appendages, self._balance)
+        warms = self.friction is not None and self.friction.warms
         free = np.flatnonzero(self.free).tolist()
-        if len(free) > self.few or any(effect is not None for effect in effects):
+        if len(free) > self.few or warms or any(effect is not None for effect in together):
             return None
-        cogging = None if self._cogging is None else self._cogging.alone
         self._each |= {row: self._train.alone(row) for row in free if row not in self._each}
         return {
             row: TrainAlone(
-                self._each[row],
-                self._step,
-                tuple(self.position[:, row].tolist()),
-                tuple(self.velocity[:, row].tolist()),
-                None if cogging is None else cogging(row),
+                position=tuple(self.position[:, row].tolist()),
+                velocity=tuple(self.velocity[:, row].tolist()),
+                before=float(self._earlier[row]),
+                bristles=None if self._bristles is None else self._bristles.alone(row),
+                friction=None if self.friction is None else self.friction.alone(row),
+                _train=self._each[row],
+                _step=self._step,
+                _load_inertia=float(self._load_inertia[row]),
+                _cogging=None if self._cogging is None else self._cogging.alone(row),
             )
             for row in free
         }
@@ -386,6 +414,9 @@ class DriveTrains:
     def take_back(self, row: int, alone: TrainAlone) -> None:
         """Take the state of a row that was stepped alone."""
         self.position[:, row], self.velocity[:, row], self._damped[row] = alone.position, alone.velocity, alone.damped
+        self._earlier[row] = alone.before
+        if self._bristles is not None and alone.bristles is not None:
+            self._bristles.deflection[row] = alone.bristles.deflection
 
     def motor_torque(self, effort: Array) -> Array:
         """`effort` (rows,) N m minus cogging and presliding friction."""

@@ -9,8 +9,10 @@ law (`drive_train`), so each of them can hold an axis at standstill.
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from math import sin
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -23,6 +25,13 @@ def viscous(friction: Friction) -> float:
     """Mean of both directions, N m s/rad."""
     backward = friction.viscous if friction.backward_viscous is None else friction.backward_viscous
     return (friction.viscous + backward) / 2
+
+
+class FrictionAlone(Protocol):
+    """`FrictionLaw` of one mass, in floats."""
+
+    def limits(self, velocity: float, transmitted: float, load_position: float) -> tuple[float, float]: ...
+    def beyond_mean(self, velocity: float) -> float: ...
 
 
 class FrictionLaw:
@@ -61,13 +70,22 @@ class FrictionLaw:
         self.warmth = np.array(warmth, dtype=float)
         """Temperature rise (rows,), K."""
 
+    def alone(self, row: int) -> tuple[FrictionAlone, ...]:
+        """Those of motor and load of one row, unless they warm."""
+        arrays: dict[str, Array] = {name: part for name, part in vars(self).items() if isinstance(part, np.ndarray)}
+        parts = {name: np.broadcast_to(part, self._forward.shape) for name, part in arrays.items()}
+        both = copy(self), copy(self)
+        for mass, law in enumerate(both):
+            vars(law).update({name: float(part[mass, row]) for name, part in parts.items()})
+        return cast("tuple[FrictionAlone, ...]", both)
+
     def limits(self, velocity: Array, transmitted: Array, load_position: Array) -> tuple[Array, Array]:
         """Dry friction (2, rows) N m against a motion forward and against one backward."""
-        speed, rise = np.abs(velocity), np.zeros_like(self._forward)
+        speed, rise = abs(velocity), 0.0 * self._forward
         if self._has_extra:
             rise = rise + self._extra * np.exp(-((speed / self._slow) ** self._bend))
         if self._has_load:
-            rise = rise + self._load * np.abs(transmitted)
+            rise = rise + self._load * abs(transmitted)
         if self._has_power:
             rise = rise + self._power * speed**self._exponent
         if self._has_patch:
@@ -79,8 +97,8 @@ class FrictionLaw:
     def beyond_mean(self, velocity: Array) -> Array:
         """Viscous friction (2, rows) N m in addition to that of `viscous`."""
         if not self._differs and not self.warms:
-            return np.zeros_like(self._viscous)
-        differing = self._viscous * velocity + (self._viscous_forward - self._viscous) * np.abs(velocity)
+            return 0.0 * self._viscous
+        differing = self._viscous * velocity + (self._viscous_forward - self._viscous) * abs(velocity)
         return np.exp(-self._viscous_loss * self.warmth) * differing - self._viscous * velocity
 
     def torque(self, velocity: Array, transmitted: Array, load_position: Array) -> Array:
@@ -143,6 +161,12 @@ class Bristles:
         self._extra = np.array([r.breakaway - r.coulomb if r else 0.0 for r in rows])
         self._stribeck = np.array([r.stribeck_velocity if r else 1.0 for r in rows])
         self.deflection = np.zeros(len(rows))
+
+    def alone(self, row: int) -> "Bristles":
+        """Those of one row: every (rows,) is a number."""
+        one = copy(self)
+        vars(one).update({name: part[row] for name, part in vars(self).items() if isinstance(part, np.ndarray)})
+        return one
 
     def step(self, velocity: Array) -> Array:
         """Friction torque (rows,), N m."""
