@@ -27,7 +27,7 @@ from service.diagnosis.law import Law, proposed_law
 from service.diagnosis.localisation.locate import cells, example, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
-from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, check_held_out
+from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, beside_twin, check_held_out
 from service.diagnosis.model.rigid_model import rigid_model
 from service.diagnosis.play import PLAY, Play, measured_play
 from service.diagnosis.rows.periods import in_periods
@@ -168,7 +168,7 @@ def _diagnosed(
     own = in_periods(joint, corrected(sweeps, wrong) if wrong else sweeps)
     data = check(robot, [sweep for sweep in sweeps if sweep.spec.axis == joint])
     trusted = not untrustworthy(data, joint)
-    found = _explained(robot, joint, own, known, calibrated=calibrated, trusted=trusted, twin=twin)
+    found = _explained(robot, joint, own, known, calibrated=calibrated, trusted=trusted)
     selection, shown, verdict, modelled = found.selection, found.shown, found.verdict, found.modelled
     motion, hidden = selection.given.tracks, found.hidden
     ties = tie_sets(selection, modelled, found.applying) if verdict is Verdict.AMBIGUOUS else {}
@@ -180,6 +180,7 @@ def _diagnosed(
         *lines(motion, before, shown.after),
         *cells(motion, selection.given.groups, before, shown.after, noise(selection.given, shown.after)),
     )
+    twin_rms, of_twin = beside_twin(selection.given, own, shown.point) if twin else (None, ())
     effects = [_named(one, selection) for one in shown.fitted]
     named = [effect for effect in effects if effect.name not in modelled]
     base = [effect for effect in effects if effect.name in modelled]
@@ -211,8 +212,8 @@ def _diagnosed(
         rivals=_behind(selection),
         rolled_back=shown.rolled_back,
         cells=tuple(sorted(where, key=lambda cell: -cell.significance)),
-        sentences=(*(one.sentence for one in (*data, *found.said)), *sentences(joint, where), *said, *shown.sentences),
-        gap=gap(selection.given, before, shown.after, unseen, shown.twin_rms),
+        sentences=(*(one.sentence for one in (*data, *found.said)), *sentences(joint, where), *said, *of_twin),
+        gap=gap(selection.given, before, shown.after, unseen, twin_rms),
         example=example(selection.given, before, shown.after),
         poses=tuple(tuple(pose) for pose in motion.poses.tolist()),
         fit=shown.fit,
@@ -271,12 +272,12 @@ class _Explained:
 
 
 def _explained(
-    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool, twin: bool
+    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool
 ) -> _Explained:
     """The explanation. If there is none, measure play, else search the residual for torque ripples that are not in the
     robot file.
     """
-    found = _tried(robot, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin)
+    found = _tried(robot, joint, sweeps, known, calibrated=calibrated, trusted=trusted)
     if found.verdict is not Verdict.UNKNOWN or not trusted:
         return found
     if (play := measured_play(robot, joint, sweeps)) is not None:
@@ -286,7 +287,7 @@ def _explained(
     if other is robot:
         return found
     again = _tried(
-        other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin, before=found.selection.given
+        other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, before=found.selection.given
     )
     return found if again.verdict is Verdict.UNKNOWN else replace(again, said=said)
 
@@ -331,7 +332,6 @@ def _tried(
     *,
     calibrated: bool,
     trusted: bool,
-    twin: bool,
     before: Equations | None = None,
 ) -> _Explained:
     """`before`: equations of another attempt on these sweeps, whose searches, and that for the reversal distance of dry
@@ -356,7 +356,7 @@ def _tried(
     testable = [name for name in applying if name not in hidden]
     named = with_groups(selection, groups)
     selection = settled(named, modelled)
-    verdict, shown, part = _shown(selection, sweeps, modelled, testable, _biasing(hidden), twin=twin)
+    verdict, shown, part = _shown(selection, modelled, testable, _biasing(hidden))
     if unseen is not None and verdict is not Verdict.UNKNOWN and not shown.rolled_back:
         # of the held-out pose: the prediction of a model that was not fitted to it
         after, held = residual(named.given, named.chosen.terms), motion.pose_index == unseen
@@ -371,13 +371,7 @@ def _biasing(hidden: Mapping[str, UntestableEffect]) -> tuple[str, ...]:
 
 
 def _shown(
-    selection: Selection,
-    sweeps: Sequence[Sweep],
-    known: Sequence[str],
-    testable: Sequence[str],
-    biasing: Sequence[str],
-    *,
-    twin: bool,
+    selection: Selection, known: Sequence[str], testable: Sequence[str], biasing: Sequence[str]
 ) -> tuple[Verdict, HeldOutCheck, tuple[Fitted, ...]]:
     """The verdict after the test on held-out sweeps, and the effects that explain only a part of the gap.
 
@@ -386,7 +380,7 @@ def _shown(
     given = selection.given
     fixed = [term for term in selection.chosen.terms if term.effect in known]
     added = [term for term in selection.chosen.terms if term.effect not in known]
-    shown = check_held_out(given, sweeps, fixed, added, twin=twin)
+    shown = check_held_out(given, fixed, added)
     left = without(selection, shown.rolled_back) if shown.rolled_back else selection
     loose = unrepeated(given, shown.after)
     moved_otherwise = loose is not None and loose.is_physical and not of_one_record(given)
@@ -400,7 +394,7 @@ def _shown(
     part = (
         tuple(one for one in shown.fitted if one.effect not in known) if allowed_by_physics(given, left.chosen) else ()
     )
-    bare = check_held_out(given, sweeps, fixed, [], twin=twin) if added else shown
+    bare = check_held_out(given, fixed, []) if added else shown
     return verdict, replace(bare, rolled_back=shown.rolled_back), part
 
 

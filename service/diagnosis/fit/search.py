@@ -15,7 +15,7 @@ import numpy as np
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
 from service.diagnosis.fit.cross_products import Ended, Gathered, solve, symmetric
-from service.diagnosis.fit.equations import Equations, Term, remodelled, with_values
+from service.diagnosis.fit.equations import Equations, Term, joined, remodelled, with_values
 from service.diagnosis.fit.gap import over_floor
 from service.model import Array
 
@@ -71,9 +71,12 @@ class CurrentModel:
         return min(found, key=lambda one: one.cost)
 
     def _at(self, name: str, shapes: Sequence[Shape], *, keep: bool) -> list[Explanation]:
+        columns = self._given.scanned(name, shapes, keep=keep)
+        ends = np.cumsum([len(own[0]) for own in columns])[:-1]
+        across = np.split(self._across(joined(*columns)), ends, axis=1)  # one product is faster than one for each shape
         return [
-            self._judged((*self._terms, Term(name, shape)), self._with(columns))
-            for shape, columns in zip(shapes, self._given.scanned(name, shapes, keep=keep), strict=True)
+            self._judged((*self._terms, Term(name, shape)), self._with(own, products))
+            for shape, own, products in zip(shapes, columns, across, strict=True)
         ]
 
     def refined(self, start: Explanation, steps: int = 4) -> Explanation:
@@ -133,9 +136,13 @@ class CurrentModel:
         extended = tuple(np.concatenate(fold) for fold in zip(own, bent, strict=True))
         return np.clip(self._values(self._with(extended), terms)[-len(at) :], -LONGEST, LONGEST)
 
-    def _with(self, columns: Gathered) -> Array:
-        """Products with columns inserted before the right side, which stays last."""
-        across = self._given.unfolded(self._given.pairs.crossed(columns, self._fixed))
+    def _across(self, columns: Gathered) -> Array:
+        """(folds, k, l) products of columns with the rigid model, the terms and the right side."""
+        return self._given.unfolded(self._given.pairs.crossed(columns, self._fixed))
+
+    def _with(self, columns: Gathered, across: Array | None = None) -> Array:
+        """Products with columns inserted before the right side, which stays last; `across`: those with all others."""
+        across = self._across(columns) if across is None else across
         within = self._given.pairs.crossed(columns, columns)
         old, new = self._products, across.transpose(0, 2, 1)
         top = np.concatenate([old[:, :-1, :-1], new[:, :-1], old[:, :-1, -1:]], axis=2)

@@ -84,22 +84,17 @@ class Fit:
 
 @dataclass(frozen=True)
 class HeldOutCheck:
-    """The residuals (n, rows), N m (N), before and after; the RMS of the twin's residual (None: not requested, or no
-    scenario can contain the model); and the model.
-    """
+    """The residuals (n, rows), N m (N), before and after, and the model."""
 
     before: Array
     after: Array
-    twin_rms: float | None
+    point: Point
     fitted: tuple[Fitted, ...]
     fit: Fit
     rolled_back: tuple[str, ...]
-    sentences: tuple[str, ...]
 
 
-def check_held_out(
-    given: Equations, sweeps: Sequence[Sweep], fixed: Sequence[Term], added: Sequence[Term], *, twin: bool
-) -> HeldOutCheck:
+def check_held_out(given: Equations, fixed: Sequence[Term], added: Sequence[Term]) -> HeldOutCheck:
     """Test the terms `added`, each beside the fixed terms and the others that are left, the last one first."""
     # an effect visible in one pose only: other poses cannot predict its size, so use its repeats
     by_repeat = bool(added) and local(given, fixed, [*fixed, *added])
@@ -116,19 +111,11 @@ def check_held_out(
             terms, after = fewer, without
             rolled_back.insert(0, term.effect)
     point = of_columns(given, terms)
-    twin_rms, said = _twin(given, sweeps, point) if twin else (None, ())
-    return HeldOutCheck(
-        before=before,
-        after=after,
-        twin_rms=twin_rms,
-        fitted=_fitted(given, point),
-        fit=_fit(given, point),
-        rolled_back=tuple(rolled_back),
-        sentences=said,
-    )
+    return HeldOutCheck(before, after, point, _fitted(given, point), _fit(given, point), tuple(rolled_back))
 
 
-def _twin(given: Equations, sweeps: Sequence[Sweep], point: Point) -> tuple[float | None, tuple[str, ...]]:
+def beside_twin(given: Equations, sweeps: Sequence[Sweep], point: Point) -> tuple[float | None, tuple[str, ...]]:
+    """The RMS of the twin's residual, N m (N), None if no scenario can contain the model; what is to be said of it."""
     try:
         led = simulated(given, sweeps, point)
     except Inexpressible as reason:
