@@ -325,7 +325,7 @@ def _recorded(numbers: Sequence[int], count: int | None = None) -> list[SweepDoc
     ]
 
 
-CAMPAIGNS, STORED_POSES = 6, 3
+CAMPAIGNS, STORED_POSES = 4, 2
 PATIENCE = 600.0  # s
 
 
