@@ -188,7 +188,7 @@ class DriveCabinet(Generic[AnyNode]):
         if not moves:
             return 1.0, 20
         pace = self._speed_factor if at_speed else 1.0
-        return pace, max(4, min(40, round(pace * 2e-3 / self._machine.cycle)))
+        return pace, max(4, min(16, round(pace * 1e-3 / self._machine.cycle)))
 
     def _prepare(self, info: AxisInfo, axis: Any) -> None:
         """Limits and parameters of the drive that may have changed."""
