@@ -68,11 +68,11 @@ def test_by_hand() -> None:
 
 @pytest.mark.slow
 def test_the_false_alarm_rate_is_kept() -> None:
-    """200 plants at 5 %: as many plants with an alarm as chance gives once in 1,000 times, at most."""
+    """400 plants at 5 %: as many plants with an alarm as chance gives once in 1,000 times, at most."""
     random = np.random.default_rng(8160)
     rate = AlarmRate(0.05, ROBOTS, AXES, MONTHS)
-    wrong = sum(bool(alarms(plant(random), rate)) for _ in range(200))
-    assert wrong <= stats.binom.isf(0.001, 200, 0.05), wrong
+    wrong = sum(bool(alarms(plant(random), rate)) for _ in range(400))
+    assert wrong <= stats.binom.isf(0.001, 400, 0.05), wrong
 
 
 @pytest.mark.parametrize("seed", range(20))
