@@ -286,9 +286,7 @@ def _explained(
     other, said = with_ripples(robot, joint, ripples(found.selection.given, left))
     if other is robot:
         return found
-    again = _tried(
-        other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, before=found.selection.given
-    )
+    again = _tried(other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, before=found.selection.given)
     return found if again.verdict is Verdict.UNKNOWN else replace(again, said=said)
 
 
