@@ -84,18 +84,27 @@ def test_simultaneous_sweeps_give_the_true_inertia(
         assert rows @ values == pytest.approx(true_inertia(load_scenario(SCENARIO), joint, poses), rel=0.03)
 
 
-def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_it(
-    service: VirtualService, machine: VirtualMachine, clock: Clock
+@pytest.mark.parametrize(
+    ("order", "joint", "told"),
+    [
+        ("fault", "joint_3", "DriveFault: joint_3 (node 3): error 2310h, history 00002310h"),
+        ("silence", "joint_3", "CommunicationLost: joint_3 (node 3): no sample for"),
+        ("silence", "joint_1", "CommunicationLost: node 1: no heartbeat for"),  # it stands
+    ],
+)
+def test_the_cause_is_told_and_not_that_braking_axes_leave_the_trajectory(
+    service: VirtualService, machine: VirtualMachine, clock: Clock, order: str, joint: str, told: str
 ) -> None:
     number = trajectory(service)
     service.client.start(number)
     clock.wait_until(lambda: len(machine.energised()) == 2, "two axes have energy", 60.0)
     clock.sleep(2.0)
-    machine.order("fault", joint="joint_3", code=0x2310)
+    machine.order(order, joint=joint, **({"code": 0x2310} if order == "fault" else {"on": True}))
     clock.wait_until(lambda: service.client.campaign(number)["state"] == "paused", "paused", 60.0, 0.1)
     assert machine.stands()
     axes = {axis["joint"]: axis["state"] for axis in service.client.drives()["axes"]}
-    assert axes == dict.fromkeys(axes, "disabled") | {"joint_3": "fault"}
-    cause = "DriveFault: joint_3 (node 3): error 2310h, history 00002310h"
-    assert service.client.campaign(number)["cause"] == cause
+    lost = order == "silence"
+    assert axes == dict.fromkeys(axes, "unknown" if lost else "disabled") | ({} if lost else {joint: "fault"})
+    cause = service.client.campaign(number)["cause"]
+    assert cause.startswith(told)
     assert {sweep["cause"] for sweep in service.client.sweeps(number)} == {cause}

@@ -9,14 +9,14 @@ import time
 from collections import deque
 from collections.abc import AsyncIterable, Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from drivers.errors import Cause, CauseCode, CausedError, SweepInterrupted
+from drivers.errors import Cause, CauseCode, CausedError, DriveError, SweepInterrupted
 from drivers.ports import AxisStatus, SampleBlock, SweepCommand
 from service import EnvelopeViolation, SweepidError
 from service.machine.execution.check_move import DURATION, WAY, CheckMove, make
@@ -131,7 +131,7 @@ class Incoming:
         try:
             self._compiled.envelope.watch(each.command, block)
         except EnvelopeViolation:
-            await self._stop()
+            await self._stop_now()
             raise
         if len(self._together) == 1 or not isinstance(each.command, SweepCommand):
             return
@@ -139,8 +139,13 @@ class Incoming:
         try:
             self._compiled.envelope.watch_path(each.command, start, block)
         except EnvelopeViolation as left:
-            await self._stop()
             self._off_path = left
+            await self._stop_now()
+
+    async def _stop_now(self) -> None:
+        """What is not confirmed is told at the end of the motion, which stops once more, beside the cause of it all."""
+        with suppress(DriveError):
+            await self._stop()
 
 
 @dataclass(frozen=True, slots=True)
