@@ -66,14 +66,16 @@ class ExperimentPlanner:
         """BadInput if none of its sweeps can be run.
 
         `cell`: None means that of the machine. `typed`, `by`: as in `MachineSetup.confirmed`. `test_mass`: its weight
-        adds effort. `campaigns`: those that were diagnosed; it moves between poses as fast as the slowest of them.
+        adds effort. `campaigns`: those that were diagnosed; it moves between poses as fast as the slowest of them, if
+        each axis of this machine may.
         """
         designed = [DesignedSweep(sweep.spec, sweep.ramp, sweep.settle) for sweep in experiment.sweeps]
         origin, name = self.store.robot(robot_id), self.setup.own_cell(cell)
         made_for = self.setup.confirmed(origin, name, typed, by)
-        velocity = min(move_velocities(self.store, campaigns), default=MOVE_VELOCITY)
-        request = ExperimentRequest(robot_id=robot_id, cell=name, test_mass=test_mass, move_velocity=velocity)
         robot = on_machine(origin.build(), self.setup.axes)
+        asked = min(move_velocities(self.store, campaigns), default=MOVE_VELOCITY)
+        velocity = min(asked, *(joint.velocity for joint in robot.chain.joints))
+        request = ExperimentRequest(robot_id=robot_id, cell=name, test_mass=test_mass, move_velocity=velocity)
         plan = build_experiment_plan(robot, request, designed, read_cell(self.settings.cells_dir / f"{name}.yaml"))
         return plan.model_copy(update={"made_for": made_for})
 

@@ -99,6 +99,8 @@ def test_an_experiment_travels_as_fast_as_the_slowest_diagnosed_campaign(loop: L
         proposed = loop.done("reversal", new.model_copy(update={"campaigns": campaigns}), sweeps=True)
         plan = loop.experiments.plan(proposed.id, "joint_1", None, {}, "Ada")
         assert plan.request.move_velocity == expected
+    slow = DriveAxis(joint="joint_2", velocity_limit=0.15)
+    assert loop.of(slow).plan(proposed.id, "joint_1", None, {}, "Ada").request.move_velocity == 0.15
 
 
 def test_an_experiment_that_the_machine_cannot_run_is_refused_when_it_is_planned(loop: Loop) -> None:
