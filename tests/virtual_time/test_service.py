@@ -52,7 +52,7 @@ def test_a_killed_service_leaves_a_machine_that_stands_and_a_campaign_that_a_per
 # faults of the axis that is not the first of a simultaneous sweep, and the cause of its stop
 CAUSES = {
     "drive fault": "drive_fault",
-    "silent node": "stop_not_confirmed",
+    "silent node": "communication_lost",
     "limit switch": "drive_fault",
     "torque saturation": "envelope_left",
     "emergency stop": "emergency_stop",
