@@ -329,8 +329,11 @@ def observation(robot: Robot, found: Estimate, place: str) -> ObservedCombinatio
 
 def _of_combination(robot: Robot, found: Combination | None) -> ObservedCombinations | None:
     """The base parameters of links and motors that motions determine; None if they are of another robot."""
-    base, count = dynamic_base(robot), 11 * len(robot.axes)
-    if found is None or tuple(one.name for one in found.base_parameters) != base.names or not found.covariance:
+    if found is None or not found.covariance:
+        return None
+    names, count = tuple(one.name for one in found.base_parameters), 11 * len(robot.axes)
+    base = dynamic_base(robot, apart=[joint for joint in robot.joints if f"Jm({joint})" in names])
+    if names != base.names:
         return None
     own = [k for k, one in enumerate(found.base_parameters) if base.columns[k] < count and one.std is not None]
     return ObservedCombinations(

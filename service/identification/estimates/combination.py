@@ -70,7 +70,7 @@ from service.identification.motion.choice import (
     scales,
     wider,
 )
-from service.identification.motion.equations import Sampling, cogging, drive_along, whole_parameters
+from service.identification.motion.equations import Sampling, cogging, drive_along, told_apart, whole_parameters
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.record_faults import faults
 from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
@@ -190,7 +190,7 @@ def combine(
         finite(np.append(axis.values, axis.covariance), axis.joint, "the inertias and the covariance of its sweeps")
     for track in (track for record in records for track in record.tracks):
         finite(np.append(track.effort, track.position), f"sweep {track.spec.id} of {track.joint}", "its harmonics")
-    base = dynamic_base(robot)
+    base = dynamic_base(robot, apart=told_apart(motions))
     of = scales(motions)
     start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base, of)
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}

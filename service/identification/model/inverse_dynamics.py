@@ -17,7 +17,7 @@ What no data sheet gives may be anything that the measured efforts allow: an unk
 times as heavy as the wrist that it turns, so the model of the links says nothing about it (`Scale`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,17 +126,20 @@ def _momentum(spin: Array) -> Array:
 SAMPLES = 200  # random motions that represent all motions
 
 
-def dynamic_base(robot: Robot, ends: tuple[Array, Array] | None = None) -> BaseParameters:
+def dynamic_base(robot: Robot, ends: tuple[Array, Array] | None = None, apart: Collection[str] = ()) -> BaseParameters:
     """The base parameters of the efforts of all axes that move, including friction and offsets; columns of the 14 n.
 
     `ends`: lower and upper (n,) positions of the joints, rad (m); a joint with equal ends stands. None: the whole
-    range of every joint.
+    range of every joint. `apart`: joints whose load is measured beside the motor, so that the rotor is told from the
+    link that it turns.
     """
     rng = np.random.default_rng(0)
     lower, upper = ends or joint_ranges(robot.chain)
     moving, shape = lower < upper, (SAMPLES, len(lower))
     motion = JointMotion(rng.uniform(lower, upper, shape), *(moving * rng.uniform(-1.0, 1.0, (2, *shape))))
-    rows = dynamics_rows(robot.chain, robot.gravity, motion)[:, moving]
+    swings = [joint in apart for joint in robot.joints] * rng.uniform(-1.0, 1.0, shape)
+    motor = JointMotion(motion.position, motion.velocity, motion.acceleration + swings)
+    rows = dynamics_rows(robot.chain, robot.gravity, motion, motor)[:, moving]
     return reduce_columns(rows.reshape(-1, rows.shape[-1]), dynamics_names(robot.chain))
 
 
