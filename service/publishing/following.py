@@ -78,7 +78,7 @@ class Following:
             latest = sorted(self._store.latest_estimates().values(), key=lambda one: one.campaign_id)
             for newest in reversed(latest):
                 if self._store.campaign(newest.campaign_id).here:
-                    self._estimate = self._latest(newest.campaign_id, newest.revision)
+                    self._estimate = self._latest(newest.campaign_id)
                     break
         except (SQLAlchemyError, BadInput) as error:
             _log.warning("not_published", reason=str(error))
@@ -89,21 +89,20 @@ class Following:
         if not campaign.here:
             return False
         self._campaign = campaign
-        revision = event.data.get("revision")
-        if event.kind is EventKind.ESTIMATE and isinstance(revision, int):
-            self._estimate = self._latest(campaign_id, revision)
+        if event.kind is EventKind.ESTIMATE:
+            self._estimate = self._latest(campaign_id)
         return True
 
-    def _latest(self, campaign_id: int, revision: int) -> LatestEstimate:
+    def _latest(self, campaign_id: int) -> LatestEstimate:
         """BadInput if the document is no estimate of this version. Blocks."""
-        document = self._store.estimate(campaign_id, revision)
+        document = self._store.estimate(campaign_id)
         quality = quality_of(document)
         robot = self._store.robot(self._store.campaign(campaign_id).robot_id)
         links = document.content.standard_parameters.links
         return LatestEstimate(
             robot=robot.name,
             campaign=campaign_id,
-            revision=revision,
+            revision=document.revision,
             made=document.created_at,
             condition=quality.condition,
             axes=quality.axes,

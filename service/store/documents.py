@@ -178,7 +178,8 @@ class Recorded(NamedTuple):
 class EstimateDocument(StoredDocument):
     """Estimate revision n of a campaign, made when sweep `number` was identified; `document` as `identify --json`.
 
-    In an imported campaign of more than 60 sweeps a revision contains several sweeps more than the one before it.
+    In an imported campaign of more than 60 sweeps a revision contains several sweeps more than the one before it. Only
+    the newest has `inertia`, the values of single sweeps: they would be the most of each revision's size.
     """
 
     campaign_id: int

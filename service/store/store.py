@@ -331,8 +331,9 @@ class Store(rows.Transactions):
     ) -> EstimateDocument | None:
         """The result of a job: spectra, next estimate revision, states of the sweeps and events, all or nothing.
 
-        The revision belongs to the last of the sweeps, which are of one campaign. None, without effect, unless all of
-        them still wait to be identified: a result that is received twice counts once.
+        The revision belongs to the last of the sweeps, which are of one campaign. The revision before it gives up the
+        values of single sweeps, which the new one has as well. None, without effect, unless all of the sweeps still
+        wait to be identified: a result that is received twice counts once.
         """
         with self._database.write() as session:
             found: list[t.SweepRow] = []
@@ -342,8 +343,11 @@ class Store(rows.Transactions):
                     return None
                 found.append(row)
             last = found[-1]
-            revisions = select(func.max(t.EstimateRow.revision)).where(t.EstimateRow.campaign_id == last.campaign_id)
-            revision = (session.scalar(revisions) or 0) + 1
+            earlier = select(t.EstimateRow).where(t.EstimateRow.campaign_id == last.campaign_id)
+            before = session.scalars(earlier.order_by(t.EstimateRow.revision.desc()).limit(1)).first()
+            if before is not None:
+                before.document = _without_sweeps(before.document)
+            revision = 1 if before is None else before.revision + 1
             estimate = t.EstimateRow(
                 campaign_id=last.campaign_id, revision=revision, sweep_id=last.id, document=document
             )
@@ -435,3 +439,9 @@ class CheckStore(rows.Transactions):
             query = query.where(t.CampaignRow.id == campaign_id)
         with self._database.read() as session:
             return tuple(session.scalars(query.where(rows.of_own(session))))
+
+
+def _without_sweeps(document: dict[str, JsonValue]) -> dict[str, JsonValue]:
+    """Of an estimate: all but what grows with the number of sweeps."""
+    axes = cast("dict[str, dict[str, JsonValue]]", document.get("axes", {}))
+    return {**document, "axes": {joint: {**axis, "inertia": []} for joint, axis in axes.items()}}

@@ -231,8 +231,8 @@ class IdentityRow(StoredRow):
 
 
 class EstimateRow(NumberedRow):
-    """Append-only, but that a fit of all sweeps replaces the last one. The unique sweep makes a result that comes twice
-    count once.
+    """Append-only, but that a fit of all sweeps replaces the last one, and that a newer one takes the values of single
+    sweeps out of the one before. The unique sweep makes a result that comes twice count once.
     """
 
     __tablename__ = "estimate"

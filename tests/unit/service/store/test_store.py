@@ -34,6 +34,7 @@ from service.store.files.bundle import Bundle, save_bundle
 from service.store.files.data_folder import campaign_bundle, import_campaign
 from service.store.files.recordings import RecordingFiles
 from service.store.store import StaleVersion, Store
+from tests.stored.documents import stored
 from tests.unit.service.store.conftest import Specs
 
 pytestmark = pytest.mark.slow
@@ -130,6 +131,20 @@ def test_a_result_counts_once(database: Database, store: Store, campaign: Campai
     assert store.estimate(campaign.id, 1) == first
     assert store.spectra(campaign.id) == (SPECTRUM,)
     assert store.last_event_id() == events
+
+
+def test_only_the_newest_revision_has_the_values_of_single_sweeps(
+    store: Store, campaign: CampaignDocument, record: Record
+) -> None:
+    whole, identify = stored("estimate"), sweep_move(SweepEvent.IDENTIFY)
+    assert all(axis["inertia"] for axis in whole["axes"].values())
+    for number in (1, 2, 3):
+        store.add_estimate([(record(number), SPECTRUM)], identify, whole)
+    *earlier, last = store.estimates(campaign.id)
+    assert last.document == whole
+    for axis in whole["axes"].values():
+        axis["inertia"] = []
+    assert [one.document for one in earlier] == [whole, whole]
 
 
 def test_the_result_of_an_earlier_attempt_has_no_effect(
