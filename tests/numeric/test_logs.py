@@ -14,7 +14,7 @@ from service.identification.estimates.combination import JointEstimate, combine
 from service.identification.estimation import estimate_document
 from service.identification.model import axis_rows
 from service.identification.motion import record_faults
-from service.identification.motion.equations import whole_parameters
+from service.identification.motion.equations import told_apart, whole_parameters
 from service.identification.motion.free_motion import free_motions
 from service.model import Robot, Sweep, build_robot
 from service.model.results.combination import Combination as Document
@@ -129,6 +129,21 @@ def test_what_a_spring_moves_at_rest_is_no_motion(seed: int) -> None:
     """Of an elastic axis that waits while others move, the motor creeps: its friction is any."""
     one = measured(seed)
     assert np.max(one.ours / one.best) < 1.3
+
+
+def test_a_rotor_is_told_from_its_link_where_its_motor_swings_against_the_load() -> None:
+    """Elastic gears with direct encoders; the same robot with stiff gears shows only the noise of both encoders."""
+    rigid = log(1007, elastic=False, encoders=True)
+    assert told_apart(free_motions(rigid.robot, rigid.sweeps)) == set()
+    for seed, shown in ((1007, {0, 2}), (1040, {1})):  # of the axes whose rotor merges with the link otherwise
+        one = measured(seed)
+        assert told_apart(free_motions(one.log.robot, one.log.sweeps)) == set(one.log.robot.joints)
+        rotors = {p.name: (p, value) for p, value in zip(one.found.parameters, one.found.solution.values, strict=True)}
+        for k in shown:
+            found, value = rotors[f"Jm(joint_{k + 1})"]
+            assert found.identified
+            assert abs(value - one.log.rotors[k]) < 3 * (found.std or 0.0)
+        assert np.max(one.ours / one.best) < 1.3
 
 
 def test_the_deviations_contain_what_a_spring_does_to_all_axes() -> None:

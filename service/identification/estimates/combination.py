@@ -184,13 +184,30 @@ def combine(
     `gains`: calibrated with a test mass, by joint. BadInput if neither contains a common motion of axes, or an inertia,
     a harmonic or the noise of one is not finite.
     """
+    together = dynamic_base(robot).names
+    apart = {joint for joint in told_apart(motions) if f"Jm({joint})" not in together}
+    found = _combined(robot, dynamic_base(robot, apart=apart), inertias, records, motions, gains)
+    shown = {joint for joint in apart for one in found.parameters if one.identified and one.name == f"Jm({joint})"}
+    if shown == apart:
+        return found
+    # of the others the sum with the link is known better than either
+    return _combined(robot, dynamic_base(robot, apart=shown), inertias, records, motions, gains)
+
+
+def _combined(
+    robot: Robot,
+    base: BaseParameters,
+    inertias: Sequence[AxisInertias],
+    records: Sequence[TrajectoryRecord],
+    motions: Sequence[FreeMotion],
+    gains: Mapping[str, TorqueGain] | None,
+) -> JointEstimate:
     if not records and not motions:
         raise BadInput("combination", "there is no trajectory and no free motion of several axes")
     for axis in inertias:
         finite(np.append(axis.values, axis.covariance), axis.joint, "the inertias and the covariance of its sweeps")
     for track in (track for record in records for track in record.tracks):
         finite(np.append(track.effort, track.position), f"sweep {track.spec.id} of {track.joint}", "its harmonics")
-    base = dynamic_base(robot, apart=told_apart(motions))
     of = scales(motions)
     start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base, of)
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
