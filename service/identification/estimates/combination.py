@@ -184,14 +184,15 @@ def combine(
     `gains`: calibrated with a test mass, by joint. BadInput if neither contains a common motion of axes, or an inertia,
     a harmonic or the noise of one is not finite.
     """
-    together = dynamic_base(robot).names
-    apart = {joint for joint in told_apart(motions) if f"Jm({joint})" not in together}
-    found = _combined(robot, dynamic_base(robot, apart=apart), inertias, records, motions, gains)
-    shown = {joint for joint in apart for one in found.parameters if one.identified and one.name == f"Jm({joint})"}
-    if shown == apart:
-        return found
-    # of the others the sum with the link is known better than either
-    return _combined(robot, dynamic_base(robot, apart=shown), inertias, records, motions, gains)
+    base = dynamic_base(robot)
+    apart = {joint for joint in told_apart(motions) if f"Jm({joint})" not in base.names}
+    if apart:
+        found = _combined(robot, dynamic_base(robot, apart=apart), inertias, records, motions, gains)
+        shown = {joint for joint in apart for one in found.parameters if one.identified and one.name == f"Jm({joint})"}
+        if shown == apart:
+            return found
+        base = dynamic_base(robot, apart=shown)  # of the others the sum with the link is known better than either
+    return _combined(robot, base, inertias, records, motions, gains)
 
 
 def _combined(
