@@ -8,7 +8,8 @@ heartbeat look for it again; its late answers have then been discarded with the 
 transaction id identifies an answer, and the connection is opened again.
 
 A stop goes before everything (`hurry`): the answer to a running request is awaited for `stop_wait` at most, and no
-request is made until the stops are written. For `stop_time` after that a silent unit costs at most `stop_timeout`.
+request is made until the stops are written. For `stop_time` after that a silent unit costs at most `stop_timeout`. One
+behind which late answers to the stops come is slow, not silent: it has its whole time-out.
 """
 
 import logging
@@ -41,6 +42,8 @@ class Client(Protocol):
 
     garbled: bool
     """Bytes of an answer have come since this was set to False."""
+    late: bool
+    """An answer to an earlier request has come since this was set to False."""
 
     def connect(self) -> bool: ...
 
@@ -86,10 +89,10 @@ def make_client(profile: TcpProfile | RtuProfile, left: Callable[[], float]) -> 
 
 class _PatientClient:
     """pymodbus' client, which waits for bytes as long as an answer is awaited, `left`, s; alone it waits by the wall
-    clock, and nothing shortens it. `garbled`: see `Client`.
+    clock, and nothing shortens it. `garbled` and `late`: see `Client`.
     """
 
-    garbled = False
+    garbled = late = False
     _pair: tuple[socket.socket, socket.socket] | None = None
 
     def __init__(self, left: Callable[[], float], place: str, **others: Any) -> None:
@@ -182,7 +185,7 @@ class SerialClient(_PatientClient, ModbusSerialClient):
             while self._bytes_come(port):
                 data += port.read(max(1, port.in_waiting))
                 while 0 < (length := _length(data)) <= len(data) and not _belongs(data[:length], self._asked):
-                    others, data = others + data[:length], data[length:]
+                    others, data, self.late = others + data[:length], data[length:], True
                 if length <= len(data):
                     break
         except OSError as error:
@@ -300,7 +303,7 @@ class MasterLine:
     @property
     def left(self) -> float:
         """For how long the answer to the running request is awaited, s. A stop shortens it."""
-        hurried = self._sent < self._stopped + self.stop_time
+        hurried = self._sent < self._stopped + self.stop_time and not self._client.late
         until = self._sent + (min(self._profile.timeout, self.stop_timeout) if hurried else self._profile.timeout)
         if self._stops:
             until = min(until, self._stopped + self.stop_wait)
@@ -420,7 +423,7 @@ class MasterLine:
         self._wait_for_silence()
         if self._stops:
             raise StopFirst(f"Modbus {self._profile.place}: a stop goes first")
-        self._client.garbled = False
+        self._client.garbled = self._client.late = False
         self._asked[unit] = self._sent = self._clock.monotonic()
         try:
             return request()

@@ -15,10 +15,12 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, cast
+from unittest.mock import patch
 
 import pytest
 
 from drivers import contract
+from drivers.modbus.line import MasterLine
 from drivers.ports import DrivePort, NoiseCommand, SweepCommand, SweepMode
 from drivers.registry import load_profile, open_drive
 from simulator.machine import LiveMachine
@@ -193,14 +195,17 @@ def _over_modbus_tcp(bench: Bench) -> AbstractContextManager[Virtual]:
     return _process(bench, *options, profile=lambda ready: _profile(name, "line", port=ready["port"]))
 
 
-def _over_modbus_rtu(bench: Bench) -> AbstractContextManager[Virtual]:
+@contextmanager
+def _over_modbus_rtu(bench: Bench) -> Iterator[Virtual]:
     options = ("--fieldbus", "modbus-rtu", "--registers", str(REGISTERS / "virtual-low-first.yaml"), "--device", "pty")
     name = "virtual-max100-modbus-rtu"
     travel = {"travel_limits": {"rad": 9.0}}  # an axis may move for as long as the watchdog
     times = {"silence_between_frames": 0.002, "timeout": 4.0, "watchdog": 8.5}  # s; needs no silence; a busy computer
-    return _process(
+    rtu = _process(
         bench, *options, profile=lambda ready: _profile(name, "line", device=ready["device"], **times) | travel
     )
+    with rtu as virtual, patch.object(MasterLine, "stop_timeout", times["timeout"]):
+        yield virtual
 
 
 BOTH, DRIVE_SIDE = frozenset(SweepMode), frozenset({SweepMode.DRIVE_SIDE})

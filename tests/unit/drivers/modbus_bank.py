@@ -130,6 +130,7 @@ class MemoryClient:
     wire: Wire
     left: Callable[[], float]
     garbled: bool = False
+    late: bool = False
 
     def connect(self) -> bool:
         return True

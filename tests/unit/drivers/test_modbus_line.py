@@ -193,6 +193,31 @@ def test_late_answers_to_a_stop_are_passed_over(
     assert len(bank.requests) == 2
 
 
+@pytest.mark.parametrize("bank", ["rtu"], indirect=True)
+@pytest.mark.parametrize("late", LATE)
+def test_a_slow_unit_is_not_silent_while_late_answers_to_a_stop_come(
+    late: list[tuple[int, bytes]], bank: Bank, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MasterLine, "stop_timeout", 0.2)
+
+    def spoil(_: Request, frame: bytes) -> bytes:
+        for unit, pdu in late:
+            bank.send(rtu_frame(unit, pdu))
+        time.sleep(0.4)
+        return frame
+
+    with opened(bank, 3 * PATIENCE) as line:
+        line.hurry()
+        line.stopped()
+        bank.spoil = spoil
+        assert line.read(1, 0x10, 1, "statusword") == [0x1111]
+        bank.spoil = lambda _, __: None
+        before = time.monotonic()
+        with pytest.raises(CommunicationLost):
+            line.read(2, 0x10, 1, "statusword")
+        assert time.monotonic() - before < 3 * PATIENCE
+
+
 def test_answers_of_somebody_else_are_no_answers(
     bank: Bank, hasty: MasterLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
