@@ -111,7 +111,8 @@ def _axis(page: ReportPage, joint: str, axis: AxisDiagnosis) -> None:
         "<h3>Example</h3>",
         f"<p>Sweep {escape(sweep)}{escape(f' ({plain(block)})') if block else ''}, the sweep with the "
         f"largest gap before. Above: the effort; below: the residual of the model, {_residuals(axis)}. "
-        "The gap is that of all sweeps.</p>",
+        "The gap is that of all sweeps, without the samples around standstill: there friction may have any value, and "
+        "this residual may have spikes.</p>",
     )
     page.figure(figures["example"])
     _open_questions(page, joint, axis)
