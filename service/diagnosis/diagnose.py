@@ -22,7 +22,7 @@ from service.diagnosis.fit.equations import Equations, Term, applies, equations,
 from service.diagnosis.fit.fitted import Parameter
 from service.diagnosis.fit.gap import gap, noise, noise_floor, residual
 from service.diagnosis.fit.search import CurrentModel
-from service.diagnosis.fit.select import TOLERANCE, Selection, allowed_by_physics, select, settled, with_groups
+from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
 from service.diagnosis.law import Law, proposed_law
 from service.diagnosis.localisation.locate import cells, example, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
@@ -301,7 +301,7 @@ def _selected(given: Equations, sweeps: Sequence[Sweep], known: Sequence[str], c
         terms = tuple(dry if term.effect == "presliding_hysteresis" else term for term in found.chosen.terms)
         beside = _sticking(replace(found.given, tracks=given.tracks), sweeps, terms)
         gain = CurrentModel(found.given, terms).alone().cost - CurrentModel(beside, terms).alone().cost
-        return replace(given, tracks=beside.tracks) if gain > TOLERANCE * found.rigid.cost else None
+        return replace(given, tracks=beside.tracks) if gain > CHANGED**2 else None
 
     return select(_sticking(given, sweeps, (dry,)), known, candidates, with_better)
 
