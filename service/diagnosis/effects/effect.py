@@ -188,7 +188,7 @@ class CatalogueEffect:
     by_load: bool = False  # no columns: the effect frees directions of the load
     # signals (3, n, t) that multiply inertia, torque and slope of the load with this effect, to first order
     parts: Callable[[Tracks, Model, Shape], Array] | None = None
-    on_load: bool = False  # whether its torque acts on the load, behind the gear
+    on_load: tuple[bool, ...] = (False,)  # whether its torque acts on the load, behind the gear; of columns in turn
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
     late: bool = False  # whether its first coefficient, s, is a delay of the whole torque, including other effects
     by_test_mass: bool = False  # only a test mass separates it from similar effects

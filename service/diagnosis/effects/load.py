@@ -105,7 +105,7 @@ HOSE_SPRING = CatalogueEffect(
     ),
     contains=("effort_offset",),
     columns=_hose_columns,
-    on_load=True,
+    on_load=(True,),
     possible=lambda parameters, tracks, model: parameters["stiffness"] > 0,
     scenario=_hose_scenario,
 )
@@ -173,7 +173,7 @@ COUNTERBALANCE = CatalogueEffect(
     entry="counterbalance",
     coefficients=_balance_coefficients,
     columns=_balance_columns,
-    on_load=True,
+    on_load=(True,),
     shape=_balance_shape,
     # -1: all of its gas is lost, or it is not there; less would push instead
     possible=lambda parameters, tracks, model: parameters.get("share", 0.0) > -1.1,

@@ -390,8 +390,10 @@ def _driven(given: Equations, terms: Sequence[Term], values: Array) -> Equations
     for term in terms:
         own = values[first : first + given.width(term)]
         first += len(own)
-        if not CATALOGUE[term.effect].on_load:
-            beside += sum(value * column for value, column in zip(own.tolist(), given.columns(term), strict=True))
+        on_load = np.resize(CATALOGUE[term.effect].on_load, len(own))
+        if not on_load.all():
+            on_motor = np.where(on_load, 0.0, own).tolist()
+            beside += sum(value * column for value, column in zip(on_motor, given.columns(term), strict=True))
     # 0.01 of the noise
     if np.abs(beside - given.model.beside).max() < 0.01 * given.sensor_noise:
         return given

@@ -105,9 +105,10 @@ def run(train: Train, controls: Controls, starts: Array, wanted: Motion, feedbac
     goal = wanted.velocity + controls.position * wanted.position - feedback_noise
     zero = np.zeros(count)
     now = Now(STEP, 0.0, starts, zero, zero, zero, zero)
-    held = _holding(train, now)
-    now.load = now.drive = held
-    motor = _Side(starts + (train.spring.twist(held) if train.spring else 0.0), zero, zero)
+    now.load = train.gravity.at(starts) + _sum(train.on_load, now)  # all that a spring carries at standstill
+    motor = _Side(starts + (train.spring.twist(now.load) if train.spring else 0.0), zero, zero)
+    now.position = motor.position
+    now.drive = held = now.load + _sum(train.on_motor, now)
     load = _Side(starts.copy(), zero, zero) if train.spring else motor
     integral, origin = held.copy(), motor.position
     reset = STEP * controls.reset * controls.speed
@@ -148,9 +149,10 @@ def _rigid_step(train: Train, now: Now, side: _Side) -> None:
     side.place(now)
     middle = now.position
     weight = train.gravity.at(middle)
-    now.load = weight + train.load * now.acceleration
+    pulled = _sum(train.on_load, now)
+    now.load = weight + pulled + train.load * now.acceleration
     viscous = train.viscous_motor + train.viscous_load
-    push = _arriving(train, now) - weight - viscous * side.velocity - _sum(train.on_load, now)
+    push = _arriving(train, now) - weight - viscous * side.velocity - pulled
     push = push - _sum(train.on_motor, now)
     dry, stiff = _dry(train.dry, now, side.velocity)
     side.go(middle, push - dry, train.motor + train.load, stiff + 0.5 * viscous)
@@ -172,10 +174,6 @@ def _elastic_step(train: Train, spring: Spring, now: Now, motor: _Side, load: _S
     dry, stiff = _dry(train.dry_on_load, now, load.velocity)
     load.go(bottom, carried - resisted - dry, train.load, stiff + 0.5 * train.viscous_load)
     _moved(train.dry_on_load, now, load.velocity)
-
-
-def _holding(train: Train, now: Now) -> Array:
-    return train.gravity.at(now.position) + _sum(train.on_load, now) + _sum(train.on_motor, now)
 
 
 def _arriving(train: Train, now: Now) -> Array:

@@ -17,6 +17,9 @@ def diagnosed(case: Case) -> AxisResult:
     [
         Case(8301, 50_000, Kind.PAIR, ("asymmetric_friction", "cogging_torque"), "medium"),
         Case(8301, 50_020, Kind.PAIR, ("coulomb_friction", "cogging_torque"), "medium"),
+        Case(8301, 50_031, Kind.PAIR, ("effort_offset", "coulomb_friction"), "large"),
+        # ripple of the mesh, which no spring carries
+        Case(8301, 50_025, Kind.PAIR, ("joint_elasticity", "transmission_error"), "large"),
         Case(8301, 50_005, Kind.PAIR, ("hose_spring", "nonlinear_viscous_friction"), "large"),
         # asymmetric friction contains the offset
         Case(8301, 60_010, Kind.TRIPLE, ("measurement_delay", "asymmetric_friction", "effort_offset"), "medium"),

@@ -11,6 +11,7 @@ from tests.numeric.second_plant.bodies import Curve, Rigid
 from tests.numeric.second_plant.build import Wanted, build
 from tests.numeric.second_plant.free import run_free
 from tests.numeric.second_plant.friction import Bristle, Now, Sliders
+from tests.numeric.second_plant.laws import Hose, Waves
 from tests.numeric.second_plant.machine import STEP, Controls, Raw, Spring, Train, run
 from tests.numeric.second_plant.plans import Motion
 from tests.numeric.second_plant.robots import FAMILIES, put_off, random_mechanism, urdf
@@ -127,6 +128,20 @@ def test_two_masses_swing_at_their_frequency() -> None:
     frequency = (len(rises) - 1) / ((rises[-1] - rises[0]) * STEP)
     assert frequency == pytest.approx(np.sqrt(stiffness * (1 / load + 1 / motor)) / (2 * np.pi), rel=1e-3)
     assert np.ptp(twist[-4000:]) == pytest.approx(np.ptp(twist[:4000]), rel=1e-3)
+
+
+@pytest.mark.parametrize("spring", [None, Spring(np.array([2e5]), np.array([100.0]))])
+def test_an_axis_that_is_held_stands(spring: Spring | None) -> None:
+    """A spring carries weight and hose at the start, and not what acts on the motor: nothing swings."""
+    train = _train(load=150.0, motor=50.0, slope=900.0)
+    train.spring = spring
+    orders, sizes, phases = (np.array([[a], [b]]) for a, b in ((1.0, 2.0), (80.0, 40.0), (0.3, 1.0)))
+    train.on_motor = [Waves(100.0, orders, sizes, phases, 0.3, 500.0)]
+    train.on_load = [Hose(300.0, 0.1, np.inf, 5.0)]
+    controls = Controls(200.0 * 100, 15.0, 2.0, 200.0, 0.0, 1e5)
+    raw = run(train, controls, np.array([0.3]), _motion(np.zeros((4000, 1))), np.zeros((4000, 1)))
+    assert np.ptp(raw.position) < 1e-9
+    assert np.ptp(raw.load_position) < 1e-9
 
 
 def test_torque_and_motion_are_of_one_instant() -> None:
