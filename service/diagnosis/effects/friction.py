@@ -289,6 +289,14 @@ def _presliding_level(parameters: Mapping[str, float]) -> float:
     return sum(parameters[name] for name in parameters if name.startswith("coulomb"))
 
 
+def _presliding_possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> bool:
+    """Bristles that push with more than all together oppose are a reversal at the wrong instant, not presliding."""
+    pushing = 3.0  # times the level: the bristles approximate other hysteresis laws with less
+    level = _presliding_level(parameters)
+    least = min(parameters[name] for name in parameters if name.startswith("coulomb"))
+    return level > 0 and least > -pushing * level
+
+
 def _presliding_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
     """LuGre bristles that break away at the Coulomb friction are equal to those of Dahl."""
     coulomb = _presliding_level(parameters)
@@ -312,5 +320,5 @@ PRESLIDING_HYSTERESIS = CatalogueEffect(
     columns=_presliding_columns,
     scenario=_presliding_scenario,
     shape=_presliding_shape,
-    possible=lambda parameters, tracks, model: _presliding_level(parameters) > 0,
+    possible=_presliding_possible,
 )

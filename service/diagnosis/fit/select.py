@@ -130,8 +130,11 @@ def _grown(start: Selection, table: list[Explanation], candidates: Sequence[str]
             break
         given, chosen, ended = step
         chosen = _without_needless(given, chosen, rigid.cost, chance, fixed)
-        tried = _exchanges(given, chosen, candidates, fixed) if len(chosen.terms) - fixed > 1 else []
-        if (better := _exchange(given, chosen, tried, rigid.cost)) is not chosen:
+        # 3 largest number of exchanges, of which each may make another one possible
+        for _ in range(3):
+            tried = _exchanges(given, chosen, candidates, fixed) if len(chosen.terms) - fixed > 1 else []
+            if (better := _exchange(given, chosen, tried, rigid.cost)) is chosen:
+                break
             chosen, tried = better, []
     return Selection(given, chosen, rigid, tuple(tried), ended)
 
