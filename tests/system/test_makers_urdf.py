@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pinocchio as pin
+
 from service.cli.virtual_cell import running
 from tests.ports import free_port
 
@@ -37,7 +39,7 @@ def test_the_commands_lead_to_a_plan(tmp_path: Path) -> None:
 
 
 def test_a_virtual_machine_of_it_is_measured(tmp_path: Path) -> None:
-    """What a user types in section 3, on free ports."""
+    """What a user types in section 3, on free ports; Pinocchio reads the exported robot, the sheet has its axes."""
     text = DOCUMENT.read_text("utf-8")
     shutil.copytree(ROOT / "config", tmp_path / "config")
     for command in re.findall(r"^```sh\n(.*?)\n```$", text, re.MULTILINE | re.DOTALL)[:4]:
@@ -54,6 +56,12 @@ def test_a_virtual_machine_of_it_is_measured(tmp_path: Path) -> None:
         assert " 3 sweeps" in told.stderr
         told = run(f"{measure} --url {service.url}", tmp_path)
         assert "3/3 completed" in told.stderr
+        run(f"sweepid export 1 my-bundle --url {service.url}", tmp_path)
+    run("sweepid export model my-bundle model", tmp_path)
+    measured = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+    assert set(measured) < set(pin.buildModelFromUrdf(str(tmp_path / "model/model.urdf")).names)
+    sheet = run("sweepid export sheet my-bundle", tmp_path).stdout
+    assert all(axis in sheet for axis in measured)
 
 
 def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
