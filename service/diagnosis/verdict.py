@@ -10,8 +10,8 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.cross_products import solve
 from service.diagnosis.fit.equations import COLOURED, Equations, Term
 from service.diagnosis.fit.gap import noise_floor
-from service.diagnosis.fit.search import CurrentModel, Explanation
-from service.diagnosis.fit.select import CERTAIN, LARGE, RIVAL, TOLERANCE, Selection, allowed_by_physics, as_weight
+from service.diagnosis.fit.search import CERTAIN, CurrentModel, Explanation
+from service.diagnosis.fit.select import LARGE, RIVAL, TOLERANCE, Selection, allowed_by_physics, as_weight
 from service.diagnosis.sensitivity import grid, left, shows_beside, visible_part
 from service.identification.design.diagnosis_sweeps import is_partial
 from service.model import Array

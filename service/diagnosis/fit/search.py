@@ -16,7 +16,6 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
 from service.diagnosis.fit.cross_products import Ended, Gathered, solve, symmetric
 from service.diagnosis.fit.equations import Equations, Term, joined, remodelled, with_values
-from service.diagnosis.fit.gap import over_floor
 from service.model import Array
 
 LONGEST = 0.7  # largest step of the logarithm of a shape parameter
@@ -189,8 +188,14 @@ def from_vector(shapes: Sequence[ShapeParameter], vector: Array) -> Shape:
 
 DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # times the diagonal product of a derivative
 ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
+CERTAIN = 6.0  # standard deviations: above, an excess is significant
 NEAR_FLOOR = 1.3  # times the noise floor: below, the fit is good
 STEPS = 15
+
+
+def leaves(given: Equations, explanation: Explanation) -> bool:
+    """Whether the residual of an explanation is significant."""
+    return explanation.cost > CERTAIN * float(np.sqrt(2 * given.pairs.rows))
 
 
 def bends(terms: Sequence[Term]) -> list[int]:
@@ -204,10 +209,10 @@ def together(
     """Minimise the cost over the load and the shapes of the terms from number `fixed` on, together. `Term.ended` of
     these terms says how it ended.
 
-    With a load behind a spring that is too light, the cost may have several minima in stiffness. Unless the residual
-    is near the noise floor, the steps start again from other stiffnesses (the first entry of the shape). `again`: that
-    was done before. With the same columns from the same point, as when ripples were added to the robot file and do not
-    matter, the end is known.
+    With a load behind a spring that is too light, the cost may have several minima in stiffness. If the residual is
+    significant, the steps did not settle or a shape is at its upper limit, they start again from other stiffnesses (the
+    first entry of the shape). `again`: that was done before. With the same columns from the same point, as when ripples
+    were added to the robot file and do not matter, the end is known.
     """
     system = given.system_with(start.terms)
     point = (start.terms, fixed, given.coefficients.tobytes(), given.late, steps, again, system.tobytes())
@@ -223,11 +228,13 @@ def _best(
     best = _from(given, start, fixed, steps)
     for number in [number for number in bends(start.terms) if number >= fixed]:
         term = start.terms[number]
+        entries = CATALOGUE[term.effect].shape(given.tracks, given.model)
         for factor in () if again else ELSEWHERE:
-            if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
+            found = best[1].terms[number]
+            inside = all(value < entry.high for value, entry in zip(found.shape, entries, strict=True))
+            if inside and found.ended is not Ended.UNFINISHED and not leaves(*best):
                 break
-            plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
-            moved = replace(term, shape=(factor * term.shape[0], *plain[1:]))
+            moved = replace(term, shape=(factor * term.shape[0], *(entry.grid[0] for entry in entries[1:])))
             terms = (*start.terms[:number], moved, *start.terms[number + 1 :])
             other = _from(given, CurrentModel(given, terms).alone(), fixed, steps, below=best[1].cost)
             best = min(best, other, key=lambda found: found[1].cost)

@@ -23,7 +23,7 @@ from service.diagnosis.fit.cross_products import ORDER, Ended, Group, given_rest
 from service.diagnosis.fit.equations import Equations, Term, remodelled, with_base
 from service.diagnosis.fit.fitted import by_name, of_load
 from service.diagnosis.fit.gap import over_floor
-from service.diagnosis.fit.search import NEAR_FLOOR, STEPS, CurrentModel, Explanation, bends, together
+from service.diagnosis.fit.search import NEAR_FLOOR, STEPS, CurrentModel, Explanation, bends, leaves, together
 from service.model import Array
 
 CHANCE = 1e-4  # probability that an effect is named although there is none
@@ -31,7 +31,6 @@ MATERIAL = 0.004  # of the noise variance
 SHARE = 0.001  # of the repeatable excess
 LARGE = 0.03  # of the repeatable excess
 TOLERANCE = 0.001  # of the repeatable excess: cost difference that simplified columns may cause
-CERTAIN = 6.0  # standard deviations: above, an excess is significant
 ROUNDS = 6  # of alternating fits of inertias and shapes
 OF_SPEED = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "nonlinear_viscous_friction"})
 RIVAL = 10.0  # difference in Schwarz's criterion
@@ -111,7 +110,7 @@ def _is_start(one: Explanation, rigid: Explanation, table: Sequence[Explanation]
 
 def _at_floor(selection: Selection) -> bool:
     given, chosen = selection.given, selection.chosen
-    return not _leaves(given, chosen) or over_floor(given, chosen.terms) < NEAR_FLOOR
+    return not leaves(given, chosen) or over_floor(given, chosen.terms) < NEAR_FLOOR
 
 
 def _grown(start: Selection, table: list[Explanation], candidates: Sequence[str]) -> Selection:
@@ -294,16 +293,11 @@ def _simplest(given: Equations, table: Sequence[Explanation], excess: float) -> 
     if CATALOGUE[best.terms[-1].effect].by_load:
         return best
     near = [one for one in table if one.criterion <= best.criterion + max(0.0, TOLERANCE * excess)]
-    if not _leaves(given, best):
-        near = [one for one in near if not _leaves(given, one)]
+    if not leaves(given, best):
+        near = [one for one in near if not leaves(given, one)]
     near = [one for one in near if allowed_by_physics(given, one)] or near
     fewest = min(one.parameters for one in near)
     return next(one for one in near if one.parameters == fewest)
-
-
-def _leaves(given: Equations, explanation: Explanation) -> bool:
-    """Whether the residual of an explanation is significant."""
-    return explanation.cost > CERTAIN * float(np.sqrt(2 * given.pairs.rows))
 
 
 def _gains(
@@ -312,7 +306,7 @@ def _gains(
     """Whether an additional effect explains enough."""
     gain = before.cost - after.cost
     # an effect that explains the whole residual need not be a large part of the excess
-    whole = _leaves(given, before) and not _leaves(given, after)
+    whole = leaves(given, before) and not leaves(given, after)
     limit = float(chdtri(max(2, after.parameters - before.parameters), chance))
     material = 0.0 if CATALOGUE[after.terms[-1].effect].by_load else MATERIAL * given.pairs.rows
     least = max(limit, material, 0.0 if first or whole else SHARE * excess)
@@ -358,7 +352,7 @@ def _without_needless(given: Equations, chosen: Explanation, excess: float, chan
     limit = float(chdtri(2, chance))
     for term in chosen.terms[fixed:-1]:
         fewer = CurrentModel(given, [other for other in chosen.terms if other is not term]).alone()
-        needed = _leaves(given, fewer) and not _leaves(given, chosen)
+        needed = leaves(given, fewer) and not leaves(given, chosen)
         if fewer.cost - chosen.cost < max(limit, 0.0 if needed else SHARE * excess):
             chosen = fewer
     return chosen
@@ -381,9 +375,9 @@ def _exchange(given: Equations, chosen: Explanation, tried: Sequence[Explanation
     tolerance = max(RIVAL, TOLERANCE * excess)
     near = [one for one in tried if one.criterion < chosen.criterion + tolerance and allowed_by_physics(given, one)]
     best = min(near, key=lambda one: one.criterion, default=chosen)
-    if best.criterion < chosen.criterion - tolerance or (_leaves(given, chosen) and not _leaves(given, best)):
+    if best.criterion < chosen.criterion - tolerance or (leaves(given, chosen) and not leaves(given, best)):
         return best
     near = [one for one in near if one.parameters < chosen.parameters]
-    if not _leaves(given, chosen):
-        near = [one for one in near if not _leaves(given, one)]
+    if not leaves(given, chosen):
+        near = [one for one in near if not leaves(given, one)]
     return min(near, key=lambda one: (one.parameters, one.criterion), default=chosen)

@@ -37,3 +37,12 @@ def test_no_effect_is_exchanged_for_one_that_physics_forbids() -> None:
     found = diagnosed(Case(8301, 60_001, Kind.TRIPLE, hidden, "large"))
     told = {"transmission_error", "coulomb_friction", "effort_offset"}
     assert (found.verdict, {one.name for one in found.part}) == (Verdict.UNKNOWN, told)
+
+
+@pytest.mark.parametrize("number", [30_808, 30_811])
+def test_a_soft_gear_has_its_stiffness(number: int) -> None:
+    """The fit has other minima, with a gear four times as soft that hardens as much as it may."""
+    robot, joint, sweeps, truth = make(Case(8303, number, Kind.SINGLE, ("joint_elasticity",), "large"))
+    (found,) = diagnose_axis(robot, joint, sweeps, twin=False).effects
+    stiffness = 1 / found.parameters["compliance"].value
+    assert stiffness == pytest.approx(truth.hidden["joint_elasticity"]["stiffness"], rel=0.03)
