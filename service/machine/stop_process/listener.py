@@ -193,15 +193,17 @@ class Listener:
         self._selector.register(accepted, selectors.EVENT_READ)
         self._read(connection)  # most have already sent data
         if len(self._connections) > self.most_connections:
-            least = self._least_needed()
+            least = self._least_needed(connection)
             if least.asked and not least.answered:
                 self._answer(least, (503, {"detail": "too many stops at once: sent, not confirmed"}))
             self._drop(least)
 
-    def _least_needed(self) -> _Connection:
-        """The oldest one, if possible without a stop that waits for its confirmation."""
-        waiting = (each for each in self._connections.values() if each.answered or not each.asked)
-        return next(waiting, next(iter(self._connections.values())))
+    def _least_needed(self, newest: _Connection) -> _Connection:
+        """The oldest one, if possible without a stop that waits for its confirmation. Never the newest, whose stop may
+        be on its way; that of any other has been sent, or could have come.
+        """
+        others = [each for each in self._connections.values() if each is not newest]
+        return next((each for each in others if each.answered or not each.asked), others[0])
 
     def _read(self, connection: _Connection) -> None:
         try:

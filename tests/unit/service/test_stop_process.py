@@ -222,6 +222,18 @@ def test_more_stops_than_connections_are_all_executed_and_the_oldest_is_told_at_
         assert b"too many stops at once: sent, not confirmed" in told(clients[0])
 
 
+def test_a_stop_that_comes_after_its_connection_has_a_place_among_too_many(pressed: Pressed, port: int) -> None:
+    with ExitStack() as stack:
+        clients = [stack.enter_context(asked(port)) for _ in range(Listener.most_connections)]
+        for _ in clients:
+            assert pressed.arrived.acquire(timeout=PATIENCE)
+        late = stack.enter_context(asked(port, b""))
+        assert b"too many stops at once: sent, not confirmed" in told(clients[0])  # the late one has been accepted
+        late.sendall(b"POST /stop?by=Berta HTTP/1.1\r\n\r\n")
+        assert pressed.arrived.acquire(timeout=PATIENCE)
+        assert pressed.stops[-1][0].by == "Berta"
+
+
 def test_a_service_that_does_not_read_blocks_nothing_and_costs_bounded_memory() -> None:
     reading, writing = os.pipe()
     try:
