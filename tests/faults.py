@@ -61,7 +61,7 @@ FAULTS = {
     "frozen sample counter": _switched("freeze_counter", adapters=BY_HOST),
     "limit switch": _switched("limit"),
     "emergency stop": Fault(("emergency_stop", {"on": True}), (("emergency_stop", {"on": False}),)),
-    "small encoder glitch": Fault(_axis("glitch", revolutions=0.02)),
+    "small encoder glitch": Fault(_axis("glitch", revolutions=0.05)),
     "large encoder glitch": Fault(_axis("glitch", revolutions=50.0)),
     "torque saturation": Fault(_axis("saturate", torque_permille=5), (_axis("saturate", torque_permille=None),)),
     "reboot of the node": Fault(_axis("reboot")),
