@@ -42,7 +42,7 @@ class Client(Protocol):
 
     garbled: bool
     """Bytes of an answer have come since this was set to False."""
-    late: bool
+    outdated: bool
     """An answer to an earlier request has come since this was set to False."""
 
     def connect(self) -> bool: ...
@@ -89,10 +89,10 @@ def make_client(profile: TcpProfile | RtuProfile, left: Callable[[], float]) -> 
 
 class _PatientClient:
     """pymodbus' client, which waits for bytes as long as an answer is awaited, `left`, s; alone it waits by the wall
-    clock, and nothing shortens it. `garbled` and `late`: see `Client`.
+    clock, and nothing shortens it. `garbled` and `outdated`: see `Client`.
     """
 
-    garbled = late = False
+    garbled = outdated = False
     _pair: tuple[socket.socket, socket.socket] | None = None
 
     def __init__(self, left: Callable[[], float], place: str, **others: Any) -> None:
@@ -185,7 +185,7 @@ class SerialClient(_PatientClient, ModbusSerialClient):
             while self._bytes_come(port):
                 data += port.read(max(1, port.in_waiting))
                 while 0 < (length := _length(data)) <= len(data) and not _belongs(data[:length], self._asked):
-                    others, data, self.late = others + data[:length], data[length:], True
+                    others, data, self.outdated = others + data[:length], data[length:], True
                 if length <= len(data):
                     break
         except OSError as error:
@@ -303,7 +303,7 @@ class MasterLine:
     @property
     def left(self) -> float:
         """For how long the answer to the running request is awaited, s. A stop shortens it."""
-        hurried = self._sent < self._stopped + self.stop_time and not self._client.late
+        hurried = self._sent < self._stopped + self.stop_time and not self._client.outdated
         until = self._sent + (min(self._profile.timeout, self.stop_timeout) if hurried else self._profile.timeout)
         if self._stops:
             until = min(until, self._stopped + self.stop_wait)
@@ -423,7 +423,7 @@ class MasterLine:
         self._wait_for_silence()
         if self._stops:
             raise StopFirst(f"Modbus {self._profile.place}: a stop goes first")
-        self._client.garbled = self._client.late = False
+        self._client.garbled = self._client.outdated = False
         self._asked[unit] = self._sent = self._clock.monotonic()
         try:
             return request()

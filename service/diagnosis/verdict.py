@@ -146,7 +146,7 @@ def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) ->
         return rival.cost < chosen.cost + RIVAL and allowed_by_physics(given, rival)
     by_load = any(CATALOGUE[term.effect].by_load for term in (*added, rival.terms[-1]))
     limit = RIVAL if by_load else max(RIVAL, TOLERANCE * selection.rigid.cost)
-    one_way, partial = _one_way(given), is_partial(given.tracks.specs)
+    one_way, partial = given.tracks.one_way, is_partial(given.tracks.specs)
     if one_way and partial:
         limit = max(limit, SLOW * (selection.rigid.cost - chosen.cost))
     as_good = rival.cost < chosen.cost + limit if one_way else rival.criterion <= chosen.criterion + RIVAL
@@ -173,16 +173,10 @@ def _freedom(given: Equations, name: str) -> int:
     )
 
 
-def _one_way(given: Equations) -> bool:
-    """Whether all usable rows were measured in one direction."""
-    moving = given.tracks.rows(given.tracks.direction)[given.tracks.usable]
-    return not ((moving > 0.5).any() and (moving < -0.5).any())
-
-
 def _indistinguishable(selection: Selection, term: Term, names: Sequence[str]) -> set[str]:
     """Effects that are equivalent to a named one: each can represent the characteristic columns of the other."""
     given, terms = selection.given, selection.chosen.terms
-    one_way = _one_way(given)
+    one_way = given.tracks.one_way
     explained = max(selection.rigid.cost - selection.chosen.cost, 1.0)
     if CATALOGUE[term.effect].by_load:
         return set()

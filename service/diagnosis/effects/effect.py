@@ -191,6 +191,7 @@ class CatalogueEffect:
     on_load: tuple[bool, ...] = (False,)  # whether its torque acts on the load, behind the gear; of columns in turn
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
     late: bool = False  # whether its first coefficient, s, is a delay of the whole torque, including other effects
+    of_time: bool = False  # whether the columns depend on the time, and so differ between repeats
     by_test_mass: bool = False  # only a test mass separates it from similar effects
     # shape with which its columns are what a weight pulls: where these explain as much, gravity may be the cause
     as_weight: Shape | None = None

@@ -266,6 +266,7 @@ FRICTION_TEMPERATURE_DRIFT = CatalogueEffect(
     possible=_drift_possible,
     shape=_drift_shape,
     applies=_drift_lasts,
+    of_time=True,
 )
 
 
@@ -290,11 +291,14 @@ def _presliding_level(parameters: Mapping[str, float]) -> float:
 
 
 def _presliding_possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> bool:
-    """Bristles that push with more than all together oppose are a reversal at the wrong instant, not presliding."""
+    """Bristles that push with more than all together oppose are a reversal at the wrong instant, not presliding.
+
+    Without a reversal all bristles oppose the one motion, and only their sum is determined.
+    """
     pushing = 3.0  # times the level: the bristles approximate other hysteresis laws with less
     level = _presliding_level(parameters)
     least = min(parameters[name] for name in parameters if name.startswith("coulomb"))
-    return level > 0 and least > -pushing * level
+    return level > 0 and (tracks.one_way or least > -pushing * level)
 
 
 def _presliding_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:

@@ -154,7 +154,7 @@ class Equations:
         return rows.reshape(len(columns), -1, rows.shape[1])
 
     def _gathered(self, name: str, columns: Sequence[Array]) -> Gathered:
-        return self.pairs.gathered(self._whitened(name, columns))
+        return self.pairs.gathered(self._whitened(name, columns), averaged=CATALOGUE[name].of_time)
 
     def gathered(self, term: Term, *, keep: bool = True) -> Gathered:
         """The usable rows of these columns; the result is cached, if not `keep`, only until others are asked for."""

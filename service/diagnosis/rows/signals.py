@@ -185,6 +185,12 @@ class Tracks:
         moved = self.acceleration[reverses][self.inside[reverses]]
         return float(np.sqrt(np.mean(moved**2)) * STUCK_TIME**2 / 2)
 
+    @cached_property
+    def one_way(self) -> bool:
+        """Whether all usable rows were measured in one direction."""
+        moving = self.rows(self.direction)[self.usable]
+        return not ((moving > 0.5).any() and (moving < -0.5).any())
+
     @property
     def clock(self) -> Array:
         """(n, t): time in s since the start of the campaign."""

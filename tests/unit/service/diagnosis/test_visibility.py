@@ -5,12 +5,12 @@ import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.fit.equations import applies
+from service.diagnosis.fit.equations import Term, applies
 from service.diagnosis.sensitivity import UntestableEffect, untestable
 from service.identification.design.diagnosis_sweeps import BLOCKS, REVISITED, full_design, paper_design
 from service.model.results.diagnosis import AxisDiagnosis, standing_of
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to, swept
+from tests.unit.service.diagnosis.following import FORWARD, RATE, equations_of, following, known_to, swept
 
 pytestmark = pytest.mark.slow
 
@@ -100,6 +100,17 @@ def test_one_direction_shows_nothing_also_with_repeats(
     assert words in axis.summary
     assert "is noise" not in axis.summary
     assert axis.next_experiment is not None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_direction_does_not_tell_dry_friction_from_what_bristles_make(seed: int) -> None:
+    """Where nothing reverses, the shares of the bristles follow the noise, and their sum is Coulomb friction."""
+    sweeps = swept(
+        JOINT, THREE, {Term("coulomb_friction"): (60.0,)}, blocks=FORWARD, revisit=False, noise=0.002, seed=seed
+    )
+    axis = axis_document(diagnose_axis(max100(), JOINT, sweeps, twin=False))
+    assert axis.verdict == "ambiguous"
+    assert {"coulomb_friction", "presliding_hysteresis"} <= {*axis.candidates}
 
 
 @pytest.mark.parametrize(
