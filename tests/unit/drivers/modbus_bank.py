@@ -130,7 +130,7 @@ class MemoryClient:
     wire: Wire
     left: Callable[[], float]
     garbled: bool = False
-    late: bool = False
+    outdated: bool = False
 
     def connect(self) -> bool:
         return True

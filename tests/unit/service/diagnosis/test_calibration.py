@@ -85,17 +85,17 @@ def noisy(sweeps: list[Sweep]) -> list[Sweep]:
 
 
 @pytest.mark.parametrize(
-    ("poses", "test_mass", "again", "said"),
-    [(1, 30.0, False, "The test mass is to be off."), (3, 0.2, True, "take a heavier one")],
+    ("poses", "test_mass", "by_load", "again", "said"),
+    [(1, 30.0, 0.1, False, "The test mass is to be off."), (3, 0.2, 0.0, True, "take a heavier one")],
 )
 def test_what_comes_next_says_what_is_to_hang_on_the_flange(
-    poses: int, test_mass: float, again: bool, said: str
+    poses: int, test_mass: float, by_load: float, again: bool, said: str
 ) -> None:
     robot, payload, center = known_to(TIGHT), 8.0, (0.15, 0.0, 0.0)
     designed = full_design(robot, "joint_2", POSES[:poses], blocks=SLOW, revisit=False)
 
     def bearing(mass: float) -> list[Sweep]:
-        return noisy(measured(robot, "joint_2", designed, gain=1.0, mass=KnownMass(mass, center), by_load=0.0))
+        return noisy(measured(robot, "joint_2", designed, gain=1.0, mass=KnownMass(mass, center), by_load=by_load))
 
     weighed = Weighed(KnownMass(test_mass, center), tuple(bearing(payload + test_mass)))
     wanted = diagnose_axis(robot, "joint_2", bearing(payload), weighed=weighed, twin=False).next_experiment

@@ -153,11 +153,10 @@ def test_the_steps_of_load_and_spring_together_say_how_they_ended() -> None:
 
 @cache
 def chosen() -> Selection:
-    """Stribeck friction, not yet refined, in a load that is not yet fitted."""
-    given = stribeck()
+    """A soft gear, not yet refined, in a load that is not yet fitted."""
+    given = soft()
     current = CurrentModel(given, ())
-    found = current.explanation(Term("friction_temperature_drift", (60.0, 1.0)))
-    return Selection(given, found, current.alone(), ())
+    return Selection(given, current.best("joint_elasticity"), current.alone(), ())
 
 
 def test_the_fit_of_load_and_shapes_says_how_it_ended() -> None:
@@ -191,8 +190,8 @@ def test_a_search_that_used_up_its_steps_is_a_warning_of_the_axis() -> None:
     alone = replace(start, chosen=start.chosen.searched(0, Ended.UNFINISHED), ended=Ended.UNFINISHED)
     of_shape, of_load, of_gain = unfinished(JOINT, alone, WeighedGain(1.0, 0.01, 0.2))
     effects = (of_shape.effect, of_load.effect, of_gain.effect)
-    assert effects == ("friction_temperature_drift", None, "torque_constant_error")
-    assert of_shape.sentence.startswith(f"{JOINT}: the search of the shape of friction temperature drift used up its")
+    assert effects == ("joint_elasticity", None, "torque_constant_error")
+    assert of_shape.sentence.startswith(f"{JOINT}: the search of the shape of joint elasticity used up its")
     assert "load" in of_load.sentence
     assert "still changes by 20 % in the last round; limit 5 %" in of_gain.sentence
     assert unfinished(JOINT, start, WeighedGain(1.0, 0.01, 0.01)) == ()
