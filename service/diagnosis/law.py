@@ -134,6 +134,7 @@ WORDS = {  # in words, and as a formula
 }
 FRICTION = {"dry", "power", "slow", "load", "dies", "since"}  # must not drive the axis
 OF_POSITION = {"position", "beyond", "below", "lever", "weight"}
+OF_TIME = {"warm", "temperature", "time"}  # differ between repeats
 FORCE = (("c", "N m"),)
 
 
@@ -228,6 +229,8 @@ class _Dictionary:
         self.entries, self._given = entries, given
         signals = np.concatenate([column for entry in entries for column in entry.columns])
         rows = given.tracks.whitened(signals, given.whitening.taps).reshape(-1, *given.right.shape)
+        of_time = [entry.kind in OF_TIME for entry in entries for _ in entry.columns]
+        rows[of_time] = given.averaged(rows[of_time])
         self.system = symmetric(given.crossed(given.together(fixed, given.pairs.gathered(rows))))
         self.folds = [k for k, one in enumerate(self.system) if one[-1, -1] != 0]
         ends = np.cumsum([0, *(len(entry.columns) for entry in entries)]).tolist()

@@ -156,16 +156,11 @@ class Pairing:
         """(folds,): number of rows without repeats; the noise of each adds 1 to the cost."""
         return np.array([float(sum(block.size for block in fold if len(block) == 1)) for fold in self.blocks])
 
-    def gathered(self, columns: Array, *, averaged: bool = False) -> Gathered:
-        """The usable rows of columns (k, sweeps, rows), by fold (k, rows); `crossed` computes their products.
-
-        `averaged`: each repeat has the mean of all. Products between repeats that differ are not those of a square.
-        """
+    def gathered(self, columns: Array) -> Gathered:
+        """The usable rows of columns (k, sweeps, rows), by fold (k, rows); `crossed` computes their products."""
         flat = columns.reshape(len(columns), columns.shape[1] * columns.shape[2])
         none = np.empty((len(flat), 0))
-        return tuple(
-            np.concatenate([none, *(_summed(flat, block, averaged) for block in fold)], axis=1) for fold in self.blocks
-        )
+        return tuple(np.concatenate([none, *(_summed(flat, block) for block in fold)], axis=1) for fold in self.blocks)
 
     def crossed(self, left: Gathered, right: Gathered) -> Array:
         """(folds, k, l): cross-repeat products of gathered columns."""
@@ -239,11 +234,9 @@ def between_periods(residual: Array, usable: Mask, period: int) -> Array | None:
     return np.array([float(np.sum(apart[:, lag:] * apart[:, : width - lag])) for lag in range(ORDER + 1)]) / counted
 
 
-def _summed(flat: Array, block: Index, averaged: bool) -> Array:
+def _summed(flat: Array, block: Index) -> Array:
     """Rows (k, all) at a block (repeats, rows): sum over the repeats, then each repeat, in the order of `_signs`."""
     rows: Array = flat[:, block]
-    if averaged:
-        rows[:] = rows.mean(axis=1, keepdims=True)
     count = len(block)
     if count == 1:
         return flat[:, block[0]]

@@ -151,10 +151,23 @@ class Equations:
                 spec = self.tracks.specs[number % len(self.tracks.specs)]
                 finite(signal, f"sweep {spec.id} of {self.tracks.joint}", f"a column of {name}")
         rows = self.tracks.whitened(signals, self.whitening.taps)
-        return rows.reshape(len(columns), -1, rows.shape[1])
+        rows = rows.reshape(len(columns), -1, rows.shape[1])
+        return self.averaged(rows) if CATALOGUE[name].of_time else rows
+
+    def averaged(self, rows: Array) -> Array:
+        """Rows (k, n, rows) of columns of time, in each repeat the mean of all: columns that differ between repeats have
+        products between them that may be negative, and then explain less than nothing.
+        """
+        result = rows.copy()
+        for group in self.groups:
+            pieces = [np.s_[:, p.sweep, p.first : p.first + p.rows] for p in group.pieces]
+            mean = np.mean([rows[piece] for piece in pieces], axis=0)
+            for piece in pieces:
+                result[piece] = mean
+        return result
 
     def _gathered(self, name: str, columns: Sequence[Array]) -> Gathered:
-        return self.pairs.gathered(self._whitened(name, columns), averaged=CATALOGUE[name].of_time)
+        return self.pairs.gathered(self._whitened(name, columns))
 
     def gathered(self, term: Term, *, keep: bool = True) -> Gathered:
         """The usable rows of these columns; the result is cached, if not `keep`, only until others are asked for."""

@@ -102,6 +102,15 @@ def test_one_direction_shows_nothing_also_with_repeats(
     assert axis.next_experiment is not None
 
 
+def test_a_column_of_time_has_the_products_of_squares() -> None:
+    """Warmth differs between repeats; by products between them, drift once explained less than nothing."""
+    given = equations_of(max100(), JOINT, swept(JOINT, THREE, blocks=FORWARD, revisit=False, noise=0.0))
+    drift = (Term("friction_temperature_drift", (1e4, 1.0)),)
+    products = given.system_with(drift).sum(axis=0)[:-1, :-1]
+    scale = np.sqrt(np.diag(products))
+    assert np.linalg.eigvalsh(products / np.outer(scale, scale)).min() > -1e-9
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_one_direction_does_not_tell_dry_friction_from_what_bristles_make(seed: int) -> None:
     """Where nothing reverses, the shares of the bristles follow the noise, and their sum is Coulomb friction."""
