@@ -155,8 +155,8 @@ class Equations:
         return self.averaged(rows) if CATALOGUE[name].of_time else rows
 
     def averaged(self, rows: Array) -> Array:
-        """Rows (k, n, rows) of columns of time, in each repeat the mean of all: columns that differ between repeats have
-        products between them that may be negative, and then explain less than nothing.
+        """Rows (k, n, rows) of columns of time, in each repeat the mean of all. Where repeats differ, their products
+        may be negative, and a column explains less than nothing.
         """
         result = rows.copy()
         for group in self.groups:
