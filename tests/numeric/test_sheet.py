@@ -19,7 +19,7 @@ from service.identification.estimates.estimate import RobotEstimate, identify
 from service.identification.model import fold
 from service.model import INERTIAL_NAMES, Robot, inertia_vector, link_frames, transform_inertial
 from service.model.results import estimate as results
-from service.model.results.sheet import Sheet
+from service.model.results.sheet import Sheet, Supplementary
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure
 
 mujoco: Any = untyped  # a compiled module without types
@@ -167,19 +167,53 @@ def _at_origin(body: Any) -> np.ndarray:
 def test_without_more_than_cad_there_is_no_load(
     differing: tuple[Robot, RobotEstimate, Sheet], factor: float | np.ndarray, why: str
 ) -> None:
+    found = loads_of_cad_times(factor, differing)
+    assert (found.loads, why in found.left_out) == ((), True), found
+
+
+def loads_of_cad_times(factors: float | np.ndarray, differing: tuple[Robot, RobotEstimate, Sheet]) -> Supplementary:
+    """Of an estimate whose base parameters are CAD's, each times its factor (repeated in turn)."""
     robot, estimate, _ = differing
     document = as_document(estimate, estimate.workspace[:20])
     known = of_estimate(robot, document, "estimate")
     motors = [axis.reflected_motor_inertia for axis in robot.axes]
     cad = np.concatenate([robot.chain.inertial.ravel(), np.array(motors, dtype=float)])
-    values = np.resize(factor, len(known.values)) * (known.base.combination @ fold(robot.chain, known.fixed) @ cad)
+    values = np.resize(factors, len(known.values)) * (known.base.combination @ fold(robot.chain, known.fixed) @ cad)
     changed = tuple(
         one.model_copy(update={"value": float(value)})
         for one, value in zip(document.base_parameters, values, strict=True)
     )
     found = sheet(robot, document.model_copy(update={"base_parameters": changed}), "estimate").supplementary
     assert found is not None
-    assert (found.loads, why in found.left_out) == ((), True), found
+    return found
+
+
+def test_more_inertia_about_the_first_axis_alone_is_a_body_on_it(
+    differing: tuple[Robot, RobotEstimate, Sheet],
+) -> None:
+    """Nothing determines the mass: it must still be one that the robot could carry, and not 6e-9 kg at 23 m."""
+    factors = np.ones(11)
+    factors[0] = 1.2
+    (load,) = loads_of_cad_times(factors, differing).loads
+    assert (load.axis, load.link) == ("A1", "link_1")
+    assert 1.0 < load.mass < differing[0].chain.inertial[:, 0].sum()
+    assert np.linalg.norm(load.centre) < 2.0
+    about = load.mass * np.hypot(*load.centre[:2]) ** 2
+    # the third principal axis is along the first joint; 20 % of 227.3 kg m^2 are missing
+    assert min(abs(about + moment - 0.2 * 227.34) for moment in load.moments) < 0.01 * 0.2 * 227.34
+
+
+@pytest.mark.parametrize("parameter", range(11))
+def test_loads_are_found_for_each_parameter_that_differs(
+    differing: tuple[Robot, RobotEstimate, Sheet], parameter: int
+) -> None:
+    """Or it is told that there are none; the whole sheet once failed where their fit did not converge."""
+    factors = np.ones(11)
+    factors[parameter] = 3.0
+    found = loads_of_cad_times(factors, differing)
+    assert bool(found.loads) == (found.left_out == "")
+    assert "converge" not in found.left_out
+    assert all(np.linalg.norm(load.centre) < 2.0 for load in found.loads)
 
 
 @pytest.mark.parametrize("poses", [6, 16])  # too few to identify every base parameter, and enough

@@ -146,7 +146,7 @@ class _Constraints:
         count = len(nominal) // 11
         pseudo = _nominal_pseudo_inertia(nominal[: 10 * count].reshape(-1, 10))
         factor = np.asarray(np.linalg.cholesky(pseudo), dtype=float)
-        matrices = np.einsum("knj,jab->knab", rows[:, : 10 * count].reshape(-1, count, 10), _BASIS)
+        matrices = np.einsum("knj,jab->knab", rows[:, : 10 * count].reshape(len(rows), count, 10), _BASIS)
         motors = nominal[10 * count :]
         free = motors > 0
         return cls(

@@ -5,14 +5,10 @@ With base parameters beta, their covariance C and the rows W of the poses (`serv
     J = W beta,   cov J = W C W^T
 
 Supplementary loads of a KUKA are the difference between estimate and CAD as bodies on the first three links: the
-control contains a model of the bare robot, and takes one additional body each on A1, A2 and A3. With x_k the ten
-parameters of a body on link k, A their contribution to the base parameters and beta_0 those of CAD
-
-    min over P_k >= 0:   |C^-1/2 (A x(P) - (beta - beta_0))|^2 + sum_k (m_k + tr(Sigma_k) / R^2) / M
-
-P_k = [Sigma_k, m c; (m c)^T, m] is the pseudo-inertia (`physical_consistency`), so the bodies are physical. M is the
-mass and R the length of the robot; their term, at most some standard deviations, determines unobservable parts.
-With P_k = L_k L_k^T of full rank, each local minimum is the global one (Burer and Monteiro 2005).
+control contains a model of the bare robot, and takes one additional body each on A1, A2 and A3. They are the most
+probable ones (`physical_consistency`, second problem), given that difference and, of each link, a nominal body of 1 %
+of the robot's mass around the middle of the link. The nominal bodies decide what the estimate leaves open: 400 %
+standard deviation, so that ten times the mass costs about one unit of chi-squared.
 """
 
 import math
@@ -21,13 +17,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from service import BadInput
-from service.identification.model import BaseParameters, converged, fold, lock
+from service.identification.model import BaseParameters, fold, lock
 from service.identification.model.base_parameters import base_parameters
-from service.identification.model.physical_consistency import pseudo_inertia
+from service.identification.model.physical_consistency import nearest_physical, pseudo_inertia
 from service.model import INERTIAL_NAMES, Array, Chain, Robot, inertia_vector, link_frames, transform_inertial
 from service.model.results.estimate import Base, BaseParameter, Estimate, StandardParameters
 from service.model.results.payload import DETECTED, Payload
@@ -196,19 +191,17 @@ def supplementary(
     if not covariance.size or not np.isfinite(covariance).all() or not (np.diag(covariance) > 0).all():
         reason = "the estimate has no base parameters with a standard deviation above 0"
         return Supplementary(loads=(), left_out=reason, before=0.0, after=0.0)
-    white = _whitening(covariance)
-    before = float(np.sum((white @ difference) ** 2))
+    rows = combination[shown]
+    _, before = _bodies(robot.chain, [], rows, difference, covariance)
     if chdtrc(len(difference), before) > 0.0455:  # two standard deviations
         reason = "the estimate does not differ from CAD by more than its uncertainty"
         return Supplementary(loads=(), left_out=reason, before=_per_parameter(before, difference), after=0.0)
-    parts = white @ combination[shown][:, :30]
-    size = _Size(float(robot.chain.inertial[:, 0].sum()) or 1.0, _reach(robot))
     used = [0, 1, 2]
-    # each body that explains too little is removed
-    bodies, after = _fit(parts, white @ difference, used, size)
-    for link in (0, 1, 2):
+    # each body that explains too little is removed; last A1, which affects one base parameter only
+    bodies, after = _bodies(robot.chain, used, rows, difference, covariance)
+    for link in (2, 1, 0):
         fewer = [k for k in used if k != link]
-        without, left = _fit(parts, white @ difference, fewer, size)
+        without, left = _bodies(robot.chain, fewer, rows, difference, covariance)
         if left - after < 4.0:  # of chi-squared
             used, bodies, after = fewer, without, left
     loads = tuple(_load(robot, link, bodies[link], upright) for link in used)
@@ -220,37 +213,30 @@ def supplementary(
     return Supplementary(loads=loads, left_out=reason, before=_per_parameter(before, difference), after=left)
 
 
-class _Size:
-    """Units for parameters of a body of the order of one: mass, kg, and length, m."""
-
-    def __init__(self, mass: float, length: float) -> None:
-        self.mass = mass
-        self.scale = np.array([length, length, length, 1.0])
-
-
-def _fit(parts: Array, wanted: Array, links: list[int], size: _Size) -> tuple[dict[int, Array], float]:
-    """Bodies (10,) by link that best explain the whitened difference, and the remaining chi-squared."""
-    if not links:
-        return {}, float(wanted @ wanted)
-    lower = np.tril_indices(4)
-
-    def bodies(unknowns: Array) -> Array:
-        factors = np.zeros((len(links), 4, 4))
-        factors[:, lower[0], lower[1]] = unknowns.reshape(len(links), 10)
-        factors = size.scale[:, None] * factors * math.sqrt(size.mass)
-        return np.array([_parameters(factor @ factor.T) for factor in factors])
-
-    columns = np.hstack([parts[:, 10 * link : 10 * link + 10] for link in links])
-
-    def misfit(unknowns: Array) -> Array:
-        return columns @ bodies(unknowns).ravel() - wanted
-
-    start = np.tile(0.1 * np.eye(4)[lower], len(links))
-    # far below one standard deviation; usually after some hundred evaluations
-    found = least_squares(lambda x: np.concatenate([misfit(x), x]), start, ftol=1e-6, max_nfev=5000)
-    converged(found, "supplementary loads", "bodies on A1 to A3")
-    result = bodies(found.x)
-    return dict(zip(links, result, strict=True)), float(np.sum(misfit(found.x) ** 2))
+def _bodies(
+    chain: Chain, links: list[int], rows: Array, difference: Array, covariance: Array
+) -> tuple[dict[int, Array], float]:
+    """Parameters (10,) by link of the most probable bodies, and the remaining chi-squared."""
+    nominal = np.zeros((len(links), 10))
+    nominal[:, 0] = 0.01 * (float(chain.inertial[:, 0].sum()) or 1.0)
+    gyration = 0.1 * (float(sum(np.linalg.norm(joint.translation) for joint in chain.joints)) or 1.0)  # m
+    ball = inertia_vector(2 * gyration**2 * np.eye(3))
+    for body, link in zip(nominal, links, strict=True):
+        body[4:] = body[0] * ball
+        middle = chain.joints[link + 1].translation / 2 if link + 1 < len(chain.joints) else np.zeros(3)
+        body[:] = transform_inertial(body, np.eye(3), middle)
+    columns = [rows[:, 10 * link : 10 * link + 10] for link in links]
+    motors = np.zeros(len(links))
+    found = nearest_physical(
+        np.concatenate([nominal.ravel(), motors]),
+        (4.0, motors),
+        np.hstack([*columns, np.zeros((len(rows), len(links)))]),
+        difference,
+        covariance,
+        exactly=False,
+    )
+    bodies = found.parameters[: nominal.size].reshape(len(links), 10)
+    return dict(zip(links, bodies, strict=True)), found.deviation**2
 
 
 def _load(robot: Robot, link: int, parameters: Array, upright: float) -> SupplementaryLoad:
@@ -290,23 +276,5 @@ def _load(robot: Robot, link: int, parameters: Array, upright: float) -> Supplem
     )
 
 
-def _parameters(pseudo: Array) -> Array:
-    """(10,) of a pseudo-inertia (4, 4)."""
-    second = pseudo[:3, :3]
-    tensor = np.trace(second) * np.eye(3) - second
-    return np.concatenate([[pseudo[3, 3]], pseudo[:3, 3], inertia_vector(tensor)])
-
-
-def _whitening(covariance: Array) -> Array:
-    scale = np.sqrt(np.diag(covariance))
-    moments, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray((directions / np.sqrt(np.maximum(moments, 1e-12 * moments[-1]))).T / scale, dtype=float)
-
-
 def _per_parameter(distance: float, difference: Array) -> float:
     return math.sqrt(distance / len(difference))
-
-
-def _reach(robot: Robot) -> float:
-    """Sum of the distances between the joints, m."""
-    return float(sum(np.linalg.norm(joint.translation) for joint in robot.chain.joints)) or 1.0
