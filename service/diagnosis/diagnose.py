@@ -284,10 +284,21 @@ def _explained(
         return replace(found, play=play)
     left = residual(found.selection.given, found.selection.chosen.terms)
     other, said = with_ripples(robot, joint, ripples(found.selection.given, left))
-    if other is robot:
+    if other is robot or not _ripples_tell(found.selection, other):
         return found
     again = _tried(other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, before=found.selection.given)
     return found if again.verdict is Verdict.UNKNOWN else replace(again, said=said)
+
+
+def _ripples_tell(selection: Selection, other: Robot) -> bool:
+    """Whether the ripples of another robot file explain half of the rest: a ripple has one phase in all sweeps."""
+    given = replace(selection.given, tracks=replace(selection.given.tracks, robot=other))
+    left = [
+        CurrentModel(given, [term for term in selection.chosen.terms if term.effect != name]).best(name).cost
+        for name in ("cogging_torque", "transmission_error")
+        if applies(given, name)
+    ]
+    return min(left, default=np.inf) < 0.5 * selection.chosen.cost
 
 
 def _selected(given: Equations, sweeps: Sequence[Sweep], known: Sequence[str], candidates: Sequence[str]) -> Selection:
