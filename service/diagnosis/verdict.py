@@ -141,7 +141,8 @@ def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) ->
     """Whether an exchange explains as much as the chosen explanation, is not unnecessary and is physically possible."""
     given, chosen = selection.given, selection.chosen
     replaced = [term for term in added if term not in rival.terms]
-    if all(CATALOGUE[term.effect].by_load for term in (*replaced, rival.terms[-1])):
+    exchanged = [CATALOGUE[term.effect] for term in (*replaced, rival.terms[-1])]
+    if all(effect.by_load for effect in exchanged) and not any(effect.exact for effect in exchanged):
         # freed directions of the load are no evidence: they cost nothing if they are not needed
         return rival.cost < chosen.cost + RIVAL and allowed_by_physics(given, rival)
     by_load = any(CATALOGUE[term.effect].by_load for term in (*added, rival.terms[-1]))

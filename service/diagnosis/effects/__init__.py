@@ -11,7 +11,7 @@ from service.diagnosis.effects.friction import (
     PRESLIDING_HYSTERESIS,
     STRIBECK_FRICTION,
 )
-from service.diagnosis.effects.load import COUNTERBALANCE, GRAVITY_ERROR, HOSE_SPRING, PAYLOAD
+from service.diagnosis.effects.load import COUNTERBALANCE, GRAVITY_ERROR, HOSE_SPRING, PARALLELOGRAM, PAYLOAD
 from service.diagnosis.effects.measurement import EFFORT_OFFSET, MEASUREMENT_DELAY, TORQUE_CONSTANT_ERROR
 
 CATALOGUE = Catalogue(
@@ -34,6 +34,7 @@ CATALOGUE = Catalogue(
         EFFORT_OFFSET,
         TORQUE_CONSTANT_ERROR,
         PAYLOAD,
+        PARALLELOGRAM,
     )
 )
 """All effects by name."""

@@ -192,6 +192,7 @@ class CatalogueEffect:
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
     late: bool = False  # whether its first coefficient, s, is a delay of the whole torque, including other effects
     of_time: bool = False  # whether the columns depend on the time, and so differ between repeats
+    exact: bool = False  # its size is known: an effect that frees more of the load must explain more
     by_test_mass: bool = False  # only a test mass separates it from similar effects
     # shape with which its columns are what a weight pulls: where these explain as much, gravity may be the cause
     as_weight: Shape | None = None

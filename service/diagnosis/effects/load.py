@@ -1,4 +1,6 @@
-"""Effects of the load of the axis: gravity outside the tolerance of CAD, a payload, a hose, a counterbalance."""
+"""Effects of the load of the axis: gravity outside the tolerance of CAD, a payload, a hose, a counterbalance, a
+parallelogram.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,7 +17,7 @@ from service.diagnosis.effects.effect import (
     named,
     positive,
 )
-from service.diagnosis.rows.rigid import deviations_left, load_rows
+from service.diagnosis.rows.rigid import changes, deviations_left, load_rows, parallelograms
 from service.diagnosis.rows.signals import Tracks
 from service.model import Array
 from service.model.counterbalance import Counterbalance, Lever
@@ -180,4 +182,37 @@ COUNTERBALANCE = CatalogueEffect(
     as_weight=WEIGHT,
     scenario=_balance_scenario,
     applies=lambda tracks: not tracks.prismatic and bool(np.ptp(tracks.gravity) > 0),
+)
+
+
+def _parallelogram_readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
+    """Share of the change that each possible parallelogram would make, named after the joint that it begins before."""
+    robot, index = tracks.robot, tracks.robot.index(tracks.joint)
+    linkages = parallelograms(robot, index, tracks.poses)
+    columns = changes(robot, load_rows(robot, index, tracks.poses), linkages)
+    weight = np.repeat(tracks.sizes, len(tracks.poses))
+    turn = np.linalg.pinv(weight[:, None] * columns) * weight
+    spread = np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0))
+    shares = zip(linkages, turn @ change.ravel(), spread, strict=True)
+    return {f"share_{robot.joints[k]}": (float(share), float(sigma), "") for k, share, sigma in shares}
+
+
+def _parallelogram_scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    raise Inexpressible("the links of a scenario are a plain chain, and no masses make it a parallelogram")
+
+
+PARALLELOGRAM = CatalogueEffect(
+    name="parallelogram",
+    physics="q_(k+1) = s_(k+1) - s_k of the drives' positions s: tau = C^T tau_q(C s), with CAD's links",
+    source="Khalil and Dombre, Modeling, Identification and Control of Robots (2002), 7.3: robots with closed loops",
+    sentence="A parallelogram, or a belt from the base, drives a link: it keeps its direction while the axis before it "
+    "turns. The robot file describes a plain chain.",
+    visible_in=("forward_slow", "backward_slow"),
+    entry="links",
+    readout=_parallelogram_readout,
+    scenario=_parallelogram_scenario,
+    by_load=True,
+    exact=True,
+    # CAD's plain chain is to be cancelled whole, whatever its links weigh
+    possible=lambda parameters, tracks, model: abs(max(parameters.values()) - 1) < 0.1,
 )

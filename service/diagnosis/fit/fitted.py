@@ -79,7 +79,8 @@ def of_load(given: Equations, terms: Sequence[Term], values: Array, effect: str)
     readout = CATALOGUE[effect].readout
     if readout is None or effect not in given.rigid.freed:
         return {}
-    load, directions, prior = values[: given.width_of_base - 1], given.rigid.freed[effect], given.rigid.precision
+    load, directions = values[: given.width_of_base - 1], given.rigid.freed[effect]
+    prior = given.rigid.prior([term.effect for term in terms])
     held = directions.T @ prior
     inner = np.linalg.pinv(held @ directions, rcond=1e-12, hermitian=True)
     gain = inner @ held

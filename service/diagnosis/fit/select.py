@@ -249,7 +249,9 @@ def _cost(system: Array, values: Array) -> float:
 
 
 def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> list[Explanation]:
-    """Each candidate added to some terms; those of the scan that may become the best are refined."""
+    """Each candidate added to some terms, unless its size is known and another; those of the scan that may become the
+    best are refined.
+    """
     current = CurrentModel(given, terms)
     alone = current.alone()
     scanned = sorted((current.best(name) for name in names), key=lambda one: one.criterion)
@@ -257,7 +259,8 @@ def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> lis
     # 0.5 of the best gain: below, a candidate is not refined
     near = [one for one in scanned[:REFINED] if alone.cost - one.cost > 0.5 * most]
     refined = [current.refined(one) if one in near else one for one in scanned]
-    return sorted(refined, key=lambda one: one.criterion)
+    possible = [one for one in refined if not CATALOGUE[one.terms[-1].effect].exact or allowed_by_physics(given, one)]
+    return sorted(possible, key=lambda one: one.criterion)
 
 
 def _step(

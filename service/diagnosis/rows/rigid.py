@@ -11,17 +11,19 @@ coefficients z and
     y = y_nominal + Q z,      z ~ N(0, C)         C from the robot's prior, as pseudo-data
 
 An effect that is a wrong load (gravity, payload, torque gain) adds no column of its own: it *frees* the directions that
-it changes, so that the prior does not limit them. Its size is the part of them that exceeds the prior.
+it changes, so that the prior does not limit them. Its size is the part of them that exceeds the prior. A parallelogram
+also has another L: the prior of its deviations from CAD is that of the linked robot.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from service.identification.model import axis_rows, counterbalance_terms, gravity_rows
-from service.model import Array, Indices, Knowledge, Robot
+from service.model import Array, Indices, Knowledge, Robot, transform_inertial
 
 SLACK = 1e-5  # of the rated effort, one sigma: elastic links, inexact lengths in CAD
 LEAST_MOMENT = 0.05  # m times the mass: smallest first moment to which the relative prior applies
@@ -31,13 +33,14 @@ LEAST_MOMENT = 0.05  # m times the mass: smallest first moment to which the rela
 class Rigid:
     """Loads (3, m) of m poses: [inertia; torque at the pose; its slope]. `basis` (k, 3, m) are the columns of Q, each
     about 1 N m of torque, RMS; `precision` (k, k) is the prior's; `freed` holds, for each effect that is a wrong load,
-    the directions (k, r) it frees.
+    the directions (k, r) it frees; `linked` (k, k) is the prior's precision with a parallelogram.
     """
 
     nominal: Array
     basis: Array
     precision: Array
     freed: Mapping[str, Array]
+    linked: Array
 
     def load(self, coefficients: Array) -> Array:
         """(3, m) for coefficients (k,)."""
@@ -47,15 +50,19 @@ class Rigid:
         """The columns of the load (n, t, k) for signals (3, n, t) that multiply it, each sweep in its pose."""
         return np.einsum("bkn,knt->ntb", self.basis[:, :, pose_index], parts, optimize=True)
 
+    def prior(self, effects: Sequence[str]) -> Array:
+        """(k, k): the precision of the prior of a robot with these effects."""
+        return self.linked if "parallelogram" in effects else self.precision
+
     def precision_without(self, effects: Sequence[str]) -> Array:
         """(k, k): the prior without the directions that these effects free."""
-        free = [self.freed[name] for name in effects if name in self.freed]
+        free, prior = [self.freed[name] for name in effects if name in self.freed], self.prior(effects)
         if not free:
-            return self.precision
+            return prior
         directions = np.concatenate(free, axis=1)
-        held = self.precision @ directions
+        held = prior @ directions
         inner = directions.T @ held
-        return self.precision - held @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ held.T
+        return prior - held @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ held.T
 
     def freedom(self, effect: str) -> int:
         """Number of directions that an effect frees."""
@@ -71,7 +78,10 @@ def rigid(robot: Robot, joint: str, poses: Array, sizes: Array) -> Rigid:
     carried = np.vstack([np.zeros(len(poses)), counterbalance_terms(robot, index, poses).T])
     gravity_alone = np.repeat([0.0, 1.0, 1.0], len(poses))[:, None]
     # 1e-3 rad, inclination of the base, one sigma
-    prior = np.column_stack([rows @ parameter_spread(robot, index, poses), 1e-3 * _tilts(robot, index, poses)])
+    tilts, spread = 1e-3 * _tilts(robot, index, poses), parameter_spread(robot, index, poses)
+    linkages = parallelograms(robot, index, poses)
+    prior = np.column_stack([rows @ spread, tilts])
+    linked = np.column_stack([*(own @ spread for own in linkages.values()), tilts])
     moved = {
         "gravity_error": gravity_alone
         * np.column_stack(
@@ -79,18 +89,25 @@ def rigid(robot: Robot, joint: str, poses: Array, sizes: Array) -> Rigid:
         ),
         "payload": rows @ _payload(robot),
         "torque_constant_error": (nominal + carried).reshape(-1, 1),
+        "parallelogram": changes(robot, rows, linkages),
     }
     spans = {name: weight * columns * _unit(weight * columns, rated) for name, columns in moved.items()}
-    vectors, values, _ = np.linalg.svd(np.column_stack([weight * prior, *spans.values()]), full_matrices=False)
+    vectors, values, _ = np.linalg.svd(
+        np.column_stack([weight * prior, weight * linked, *spans.values()]), full_matrices=False
+    )
     kept = values > SLACK * rated
     turn = vectors[:, kept]  # (3 m, k)
     inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
-    covariance = turn.T @ (weight * prior)
-    precision = _inverse(covariance @ covariance.T, (SLACK * rated) ** 2)
+
+    def precision(spread: Array) -> Array:
+        root = turn.T @ (weight * spread)
+        return _inverse(root @ root.T, (SLACK * rated) ** 2)
+
     return Rigid(
         nominal=nominal,
         basis=(inverse * turn).T.reshape(-1, 3, len(poses)),
-        precision=precision,
+        precision=precision(prior),
+        linked=precision(linked),
         freed={name: directions for name, columns in spans.items() if (directions := _telling(turn.T @ columns)).size},
     )
 
@@ -112,6 +129,38 @@ def nominal_parameters(robot: Robot) -> Array:
     """(11 n,): CAD's links, then the data sheets' reflected motor inertias."""
     motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
     return np.concatenate([robot.chain.inertial.ravel(), motors])
+
+
+def parallelograms(robot: Robot, index: int, poses: Array) -> dict[int, Array]:
+    """`load_rows` (3 m, 11 n) of an axis with each possible parallelogram, by the number k of the joint at its one end.
+
+    The drive of joint k + 1 then turns its link from before joint k, about a parallel axis: q_(k+1) = s_(k+1) - s_k
+    with the positions s of the drives. While drive k alone turns, the links beyond keep their direction, so they act
+    on it as their mass in the origin of joint k + 1; every other axis has the load of the pose q. A belt or a gear of
+    ratio 1 from there does the same. Only those that change the load are given.
+    """
+    plain, found = load_rows(robot, index, poses), dict[int, Array]()
+    for k, (own, following) in enumerate(pairwise(robot.chain.joints)):
+        same = float(own.axis @ following.rotation @ following.axis)
+        if {own.kind, following.kind} != {"revolute"} or abs(same) < 1 - 1e-6:
+            continue
+        turned = poses.copy()
+        turned[:, k + 1] -= np.sign(same) * poses[:, k]
+        rows = load_rows(robot, index, turned)
+        if index == k:
+            unit = transform_inertial(np.eye(10)[0], np.eye(3), following.translation)
+            links = rows[:, : robot.chain.inertial.size].reshape(len(rows), -1, 10)
+            links[:, k + 1 :] = 0.0
+            links[:, k + 1 :, 0] = (links[:, k] @ unit)[:, None]
+        if np.abs((rows - plain) @ nominal_parameters(robot)).max() > SLACK * robot.axes[index].rated_effort:
+            found[k] = rows
+    return found
+
+
+def changes(robot: Robot, rows: Array, linkages: Mapping[int, Array]) -> Array:
+    """(3 m, r): how the load of CAD changes with each parallelogram."""
+    changes = [(own - rows) @ nominal_parameters(robot) for own in linkages.values()]
+    return np.stack(changes, axis=-1) if changes else np.zeros((len(rows), 0))
 
 
 def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:

@@ -32,11 +32,12 @@ class Curve:
 
 
 class Rigid:
-    """A chain of rigid bodies in MuJoCo; not thread-safe."""
+    """A chain of rigid bodies in MuJoCo, by the positions of its drives; not thread-safe."""
 
     def __init__(self, mechanism: Mechanism, gravity: tuple[float, float, float] = STANDARD) -> None:
         self.model = mujoco.MjModel.from_xml_string(urdf(mechanism))
         self.model.opt.gravity[:] = gravity
+        self.coupling = mechanism.coupling
         self.data = mujoco.MjData(self.model)
 
     def inertia(self, joint: int, pose: Array) -> float:
@@ -44,19 +45,19 @@ class Rigid:
         return float(self.matrix(pose)[joint, joint])
 
     def matrix(self, pose: Array) -> Array:
-        """The joint-space inertia, (n, n)."""
-        self.data.qpos[:] = pose
+        """The inertia as the drives feel it, (n, n)."""
+        self.data.qpos[:] = self.coupling @ pose
         mujoco.mj_forward(self.model, self.data)
         full = np.zeros((self.model.nv, self.model.nv))
         mujoco.mj_fullM(self.model, self.data, full)
-        return full
+        return self.coupling.T @ full @ self.coupling
 
     def holding(self, pose: Array) -> Array:
         """Torques that hold a pose against gravity, (n,)."""
-        self.data.qpos[:] = pose
+        self.data.qpos[:] = self.coupling @ pose
         self.data.qvel[:] = 0.0
         mujoco.mj_forward(self.model, self.data)
-        return self.data.qfrc_bias.copy()
+        return self.coupling.T @ self.data.qfrc_bias
 
     def curve(self, joint: int, poses: Array, reach: float, step: float = 2e-3) -> Curve:
         """What holds the axis against gravity within `reach` of each pose (m, n)."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from service.model import Axis, Prior, Robot, RobotDescription, SweepSpec, build_robot
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.draft import Draft, Hidden
-from tests.numeric.second_plant.effects import CATALOGUE, FIRST, FREE, PULLED, TIGHT, TURNING
+from tests.numeric.second_plant.effects import CATALOGUE, FIRST, FREE, PULLED, TIGHT, TURNING, parallel
 from tests.numeric.second_plant.faults import WITH_RIPPLE
 from tests.numeric.second_plant.machine import STEP, Controls
 from tests.numeric.second_plant.outside import OUTSIDE, PLUMB, SWINGING
@@ -161,6 +161,9 @@ def _shows(wanted: Wanted, cad: Mechanism, index: int, inertia: Array, weighs: f
         return False
     if any(name in (*PULLED, *SWINGING) for name in names):
         return turns and weighs > WEIGHS
+    if "parallelogram" in names:  # of the joint behind it, only weight tells
+        pairs = parallel(cad)
+        return index in pairs or (index - 1 in pairs and weighs > WEIGHS)
     if any(name in FREE for name in names):
         return weighs < 1e-3
     if any(name in PLUMB for name in names):

@@ -5,6 +5,7 @@ Each function puts an effect of about `draft.size` into a draft and returns what
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from tests.numeric.second_plant.dry import bristle, effect_of_warmth, sliders
 from tests.numeric.second_plant.friction import Level
 from tests.numeric.second_plant.laws import Hose, Law, Waves, Wobble
 from tests.numeric.second_plant.machine import Spring
-from tests.numeric.second_plant.robots import Body, block, joined
+from tests.numeric.second_plant.robots import Body, Mechanism, block, joined
 
 Array = NDArray[np.float64]
 
@@ -200,6 +201,22 @@ def counterbalance(draft: Draft) -> Hidden:
     return Hidden({"law": law, "share": None if missing else share, "crank": crank, "arm": arm, "zero": toppling})
 
 
+def parallelogram(draft: Draft) -> Hidden:
+    """The drive of a joint sits before the one in front of it and turns its link by two bars, whatever the size."""
+    first = draft.index if draft.index in parallel(draft.built) else draft.index - 1
+    draft.rebuild(replace(draft.built, linked=first))
+    return Hidden({"joint": draft.built.names[first + 1]})
+
+
+def parallel(mechanism: Mechanism) -> list[int]:
+    """The revolute joints whose next one turns about the same direction."""
+    return [
+        k
+        for k, (one, other) in enumerate(pairwise(mechanism.joints))
+        if {one.kind, other.kind} == {"revolute"} and abs(np.dot(one.axis, other.axis)) == 1
+    ]
+
+
 def joint_elasticity(draft: Draft) -> Hidden:
     """Two masses; locked rotor of the mean load from 5 Hz (large) to 30 Hz (small)."""
     span = {"small": (20.0, 30.0), "medium": (9.0, 15.0), "large": (5.0, 9.0)}[draft.size_class]
@@ -300,13 +317,20 @@ CATALOGUE: dict[str, Callable[[Draft], Hidden]] = {
         coulomb_friction, asymmetric_friction, stribeck_friction, nonlinear_viscous_friction, load_dependent_friction,
         friction_temperature_drift, gravity_error, hose_spring, joint_elasticity, measurement_delay, cogging_torque,
         transmission_error, presliding_hysteresis, backlash, effort_offset, torque_constant_error, payload,
-        counterbalance,
+        counterbalance, parallelogram,
     )
 }  # fmt: skip
 
-TIGHT = ("gravity_error", "torque_constant_error", "payload", "counterbalance")  # a prior of 30 % would take all of it
+# a prior of 30 % would take all of it
+TIGHT = ("gravity_error", "torque_constant_error", "payload", "counterbalance", "parallelogram")
 PULLED = ("gravity_error", "payload", "load_dependent_friction", "counterbalance")  # need weight
 FREE = ("backlash",)  # need a torque that reverses
 TURNING = ("effort_offset",)  # a constant beside a slide's weight is part of its mass
 BY_TEST_MASS = ("payload", "torque_constant_error")
-FIRST = ("payload", "gravity_error", "joint_elasticity", "backlash")  # bodies and springs, before what looks at them
+FIRST = (
+    "parallelogram",
+    "payload",
+    "gravity_error",
+    "joint_elasticity",
+    "backlash",
+)  # bodies and springs, before what looks at them

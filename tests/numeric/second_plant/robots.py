@@ -42,12 +42,24 @@ class Joint:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """A serial chain; the flange is a point of the last link."""
+    """A serial chain; the flange is a point of the last link. `linked` is a joint whose next one is driven through a
+    parallelogram from before both, so that its link keeps its direction while the joint alone turns.
+    """
 
     name: str
     joints: tuple[Joint, ...]
     bodies: tuple[Body, ...]
     flange: Array  # (3,)
+    linked: int | None = None
+
+    @property
+    def coupling(self) -> Array:
+        """(n, n): positions of the joints by those of the drives."""
+        matrix = np.eye(len(self.joints))
+        if self.linked is not None:
+            same = float(np.dot(self.joints[self.linked].axis, self.joints[self.linked + 1].axis))
+            matrix[self.linked + 1, self.linked] = -same
+        return matrix
 
     @property
     def names(self) -> tuple[str, ...]:

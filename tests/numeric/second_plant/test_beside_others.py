@@ -1,8 +1,12 @@
-"""Effects that are seen only beside others: dry friction whose reversals need the right distance, a small delay."""
+"""Effects that are seen only beside others: dry friction whose reversals need the right distance, a small delay.
+
+And a soft gear whose fit has other minima, and links that a parallelogram turns.
+"""
 
 import pytest
 
 from service.diagnosis.diagnose import AxisResult, diagnose_axis
+from service.diagnosis.fit import search
 from service.diagnosis.verdict import Verdict
 from tests.numeric.second_plant.cases import Case, Kind, make
 
@@ -46,3 +50,24 @@ def test_a_soft_gear_has_its_stiffness(number: int) -> None:
     (found,) = diagnose_axis(robot, joint, sweeps, twin=False).effects
     stiffness = 1 / found.parameters["compliance"].value
     assert stiffness == pytest.approx(truth.hidden["joint_elasticity"]["stiffness"], rel=0.03)
+
+
+def test_from_the_load_of_the_fit_the_first_start_settles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the load of CAD no step lowers the cost."""
+    monkeypatch.setattr(search, "ELSEWHERE", ())
+    robot, joint, sweeps, truth = make(Case(8303, 30_806, Kind.SINGLE, ("joint_elasticity",), "large"))
+    (found,) = diagnose_axis(robot, joint, sweeps, twin=False).effects
+    stiffness = 1 / found.parameters["compliance"].value
+    assert stiffness == pytest.approx(truth.hidden["joint_elasticity"]["stiffness"], rel=0.03)
+
+
+@pytest.mark.parametrize("number", [91_006, 91_009, 91_013])  # a SCARA, the driven axis of an arm, one on a track
+def test_a_parallelogram_is_named_alone(number: int) -> None:
+    """Gravity error and payload free more of the load, and explain no more."""
+    robot, joint, sweeps, truth = make(Case(8303, number, Kind.SINGLE, ("parallelogram",), "large"))
+    found = diagnose_axis(robot, joint, sweeps)
+    assert (found.verdict, [one.name for one in found.effects]) == (Verdict.NAMED, ["parallelogram"])
+    before = robot.joints[robot.index(truth.hidden["parallelogram"]["joint"]) - 1]
+    share = found.effects[0].parameters[f"share_{before}"]
+    assert share.value == pytest.approx(1.0, abs=0.01)
+    assert joint in (before, truth.hidden["parallelogram"]["joint"])

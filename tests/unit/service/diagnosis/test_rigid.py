@@ -1,10 +1,19 @@
 """The rigid model of a pendulum by hand, and what is read out of a load that changed."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.rows.rigid import Rigid, load_rows, nominal_load, parameter_spread, rigid
+from service.diagnosis.rows.rigid import (
+    Rigid,
+    load_rows,
+    nominal_load,
+    nominal_parameters,
+    parallelograms,
+    parameter_spread,
+    rigid,
+)
 from service.diagnosis.rows.signals import tracks
 from service.identification.estimates.torque_gain import KnownMass
 from service.model import Axis, Prior, Robot, RobotDescription
@@ -106,3 +115,39 @@ def test_all_of_the_load_once_more_by_a_part_is_a_gain() -> None:
     assert readout is not None
     change = 0.07 * nominal_load(robot, "joint_2", motion.poses)
     assert readout(motion, change, np.zeros((change.size, change.size)))["gain_error"][:2] == pytest.approx((0.07, 0.0))
+
+
+@pytest.mark.parametrize("joint", ["joint_1", "joint_2", "joint_3", "joint_5"])
+def test_the_load_with_a_parallelogram_is_that_of_the_joints_together(joint: str) -> None:
+    """Pinocchio's inertia and gravity of the plain chain, by the positions s of the drives: q_3 = s_3 - s_2."""
+    robot, index = max100(), max100().index(joint)
+    (first, rows), *others = parallelograms(robot, index, TURNED).items()
+    assert (first, others) == (robot.index("joint_2"), [])
+    coupling = np.eye(6)
+    coupling[2, 1] = -1.0
+    model_ = pin.buildModelFromXML(robot.urdf_text)
+    model_.gravity.linear = robot.gravity
+    data = model_.createData()
+    motor = robot.axis(joint).reflected_motor_inertia
+    for pose, (inertia, torque, slope) in zip(TURNED, (rows @ nominal_parameters(robot)).reshape(3, -1).T, strict=True):
+        pin.crba(model_, data, coupling @ pose)
+        mass = np.triu(data.M) + np.triu(data.M, 1).T
+        assert inertia == pytest.approx((coupling.T @ mass @ coupling)[index, index] + motor)
+        for away in (0.0, 0.3):
+            moved = pose + away * np.eye(6)[index]
+            held = (coupling.T @ pin.computeGeneralizedGravity(model_, data, coupling @ moved))[index]
+            assert torque * np.cos(away) + slope * np.sin(away) == pytest.approx(held, abs=1e-6)
+    readout = CATALOGUE["parallelogram"].readout
+    assert readout is not None
+    motion = tracks(robot, joint, swept(joint, TURNED, blocks=FORWARD, repeats=1))
+    change = ((rows - load_rows(robot, index, TURNED)) @ nominal_parameters(robot)).reshape(3, -1)
+    order = [np.flatnonzero(np.abs(TURNED - pose).max(axis=1) < 1e-3)[0] for pose in motion.poses]
+    share = readout(motion, 0.9 * change[:, order], np.zeros((change.size, change.size)))["share_joint_2"]
+    assert share[:2] == pytest.approx((0.9, 0.0))
+
+
+def test_only_parallel_joints_can_have_a_parallelogram() -> None:
+    """A pendulum has one joint; the last joint of the arm turns a body that is round about it."""
+    assert parallelograms(pendulum(), 0, POSES) == {}
+    assert parallelograms(max100(), 5, TURNED) == {}
+    assert "parallelogram" not in model().freed
