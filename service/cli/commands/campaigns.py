@@ -291,7 +291,7 @@ def run_plan(plan: str, url: str) -> int:
         with TerminationSignals() as signals:
             try:
                 client.start(campaign_id, seen=tell_motion(client, campaign_id))
-                watch(client, campaign_id)
+                watch(client, campaign_id, signals)
             except BaseException:  # also what a terminal that is gone made of it
                 if not signals.by:
                     raise
@@ -350,7 +350,7 @@ def plan_number(plan: str, largest: int = 2**26) -> int:
         raise BadInput(plan, "is not a plan that `sweepid plan --out` wrote") from None
 
 
-def watch(client: ServiceClient, campaign_id: int) -> None:
+def watch(client: ServiceClient, campaign_id: int, signals: TerminationSignals) -> None:
     """Show the campaign's progress on the terminal until it is completed; NotCompleted if it will not be."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -367,6 +367,7 @@ def watch(client: ServiceClient, campaign_id: int) -> None:
         bar = bars.add_task("", campaign=campaign_id, total=None)
         # all events from the first on, so none is missed between starting and listening
         for event in client.events(campaign_id):
+            signals.check()
             if event["kind"] == "estimate":
                 continue
             campaign = client.campaign(campaign_id)
@@ -397,7 +398,8 @@ _Handler = Callable[[int, FrameType | None], object] | int | signal.Handlers | N
 class TerminationSignals:
     """While the block runs, the first signal that ends a program raises KeyboardInterrupt; those after it wait.
 
-    `by` says which it was. What the caller of the program has set to be ignored (nohup) stays ignored.
+    `by` says which it was. What the caller of the program has set to be ignored (nohup) stays ignored. Python drops an
+    exception that is raised while a finalizer runs: `check` raises it again.
     """
 
     def __init__(self) -> None:
@@ -418,4 +420,9 @@ class TerminationSignals:
     def _tell(self, number: int, _: FrameType | None) -> None:
         if not self.by:
             self.by = _SIGNALS[signal.Signals(number).name]
+            self.check()
+
+    def check(self) -> None:
+        """KeyboardInterrupt if a signal has come."""
+        if self.by:
             raise KeyboardInterrupt
